@@ -9,6 +9,10 @@ ABSENCE = 60.0
 """s after which control is free again, once the last page of its holder is no longer waited for."""
 
 
+class NoControlError(InputError):
+    """Somebody asks for what needs control, and does not hold it."""
+
+
 class ControlRight:
     """The right to command the bench from the page. Stopping needs no right.
 
@@ -65,7 +69,7 @@ class ControlRight:
             self.holder = self.name = ""
 
     def require(self, session: str) -> None:
-        """Raise `InputError` unless a session holds control."""
+        """Raise `NoControlError` unless a session holds control."""
         if not self.holds(session):
             who = f"{self.name} holds control" if self.holder else "nobody holds control"
-            raise InputError(f"you are watching ({who}); press Take control first")
+            raise NoControlError(f"you are watching ({who}); press Take control first")

@@ -4,17 +4,20 @@ import asyncio
 import contextlib
 import dataclasses
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ParamSpec, Protocol, TypeVar
+from typing import Any, ParamSpec, Protocol, TypeVar
 
 from mrd_base import InputError
+from mrd_base.lease import Mode
 from mrd_control.experiment import ControlExperiment, parse_control_experiment
 from mrd_dashboard.audit import AuditLog
 from mrd_dashboard.bench_view import BenchView
-from mrd_dashboard.control_right import ControlRight
+from mrd_dashboard.control_right import ControlRight, NoControlError
 from mrd_dashboard.dampers import Dampers
+from mrd_dashboard.experiment_form import preview_set
+from mrd_dashboard.guide import Guide
 from mrd_dashboard.hybrid_view import LiveMetrics, live_metrics
 from mrd_dashboard.jobs import Jobs
 from mrd_dashboard.live_frame import LivePrediction, compile_prediction, live_frame, try_prediction
@@ -22,12 +25,16 @@ from mrd_dashboard.look import Look, cached_look, keep_look, look_at
 from mrd_dashboard.recordings import CACHE_FOLDER, Recording, Recordings
 from mrd_dashboard.run_queue import Kind, QueuedRun, RunQueue
 from mrd_dashboard.workers import Workers
+from mrd_runs import read_runs
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 FRAME_PERIOD = 1 / 30
 """Wall time in s between two frames of the live plots; a browser that is late at times still draws 25 a second."""
+
+REPORTS_FOLDER = "reports"
+"""Folder, among the recordings, of the reports on dampers whose tests were recorded by the queue."""
 
 METRICS_PERIOD = 0.8
 """Wall time in s between two computations of the metrics of a hybrid test."""
@@ -78,10 +85,11 @@ class Visitor:
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of an action: whether it was done, and one line."""
+    """What came of an action: whether it was done, one line, and what tells that a refusal is no longer true."""
 
     success: bool
     message: str
+    outdated: Callable[[], bool] | None = None
 
 
 @dataclass
@@ -96,6 +104,8 @@ class Dashboard:
     queue : RunQueue
     jobs : Jobs
         Fits and diagnoses.
+    guide : Guide
+        The way from recordings to the cause of a gap that the operators are on.
     control : ControlRight
     audit : AuditLog
     experiments : Path
@@ -129,6 +139,7 @@ class Dashboard:
     prediction: LivePrediction | None = None
     bench_file: str = ""
     plant: str = ""
+    guide: Guide = field(default_factory=Guide)
     looks: dict[str, Look] = field(default_factory=dict)
     dampers: Dampers = field(init=False)
     tasks: set[asyncio.Task[None]] = field(default_factory=set)
@@ -158,6 +169,8 @@ class Dashboard:
             if not watching:
                 self.control.require(who.session)
             answer = Answer(True, await work())
+        except NoControlError as error:
+            answer = Answer(False, str(error), lambda: self.control.holds(who.session))
         except InputError as error:
             answer = Answer(False, str(error))
         except OSError as error:
@@ -177,17 +190,52 @@ class Dashboard:
         """Hear what the running job has sent, and log its end; called now and then."""
         if (job := self.jobs.poll()) is not None:
             self.audit.write("page", job.request.kind, str(job.folder), f"{job.state}: {job.message}")
+        self.guide.hear(self.jobs.all)
 
     @property
     def problem(self) -> str:
-        """Why queue or audit log cannot be kept, or ""."""
-        return self.queue.problem or self.audit.problem
+        """Why queue, guide or audit log cannot be kept, or ""."""
+        return self.queue.problem or self.guide.problem or self.audit.problem
+
+    async def queue_set(self, name: str, files: Sequence[Path], damper: str = "") -> str:
+        """Append all experiments of a set to the queue, or none; return one line.
+
+        Raises
+        ------
+        InputError
+            For the first file that the bench would refuse, and when somebody has stopped the bench meanwhile.
+        """
+        stops = self.queue.stops
+        # As `bench` does, all are checked before the first one waits.
+        found = await self.compute(preview_set, files, self.bench.generator)
+        self.queue.require_no_stop_since(stops)
+        batch = self.queue.new_batch(Path(name).name)
+        has_tests = any(one.tests_damper for one in found)
+        for one in found:
+            # Of a set without damper tests, all runs show a damper that is named.
+            judged = one.tests_damper if has_tests else bool(damper)
+            self.queue.add(one.experiment.name, one.text, one.duration, damper=damper, batch=batch, tests_damper=judged)
+        return f"the {len(found)} runs of {name} wait in the queue"
 
     async def call(self, who: Visitor, name: str) -> Answer:
         """Make one of the requests `CALLS`. Whoever sees the page may end a run."""
         if name == "end run":
             self.queue.stop()  # else the next run would begin
         return await self.act(who, name, lambda: self.commands.call(name), watching=name == "end run")
+
+    async def change_pause(self, who: Visitor) -> Answer:
+        """Let the queue wait for the operator, or go on."""
+
+        async def work() -> str:
+            if not self.queue.paused:
+                self.queue.pause("by the operator")
+                return "the queue waits"
+            if self.bench.mode is Mode.FAULT:
+                raise InputError("the bench is in mode fault, so that the next run would fail; reset the fault first")
+            self.queue.paused = False
+            return "the queue goes on"
+
+        return await self.act(who, "pause or resume the queue", work)
 
     def emergency_stop(self, who: Visitor) -> None:
         """Ask for the emergency stop; it needs neither control nor session, and waits for nobody."""
@@ -287,10 +335,17 @@ async def run_next(dashboard: Dashboard) -> bool:
     queue.end(run.number, "done" if outcome.success else "failed", outcome.message, outcome.bag)
     dashboard.audit.write("page", "run", f"{run.number} {run.name}", outcome.message)
     if outcome.bag:
-        task = asyncio.create_task(_look_at_bag(dashboard, Path(outcome.bag), run.damper))
-        dashboard.tasks.add(task)
-        task.add_done_callback(dashboard.tasks.discard)
+        _beside(dashboard, _look_at_bag(dashboard, Path(outcome.bag), run.damper))
+    if run.batch:
+        _beside(dashboard, _report_on_set(dashboard, run.number, run.batch))
     return True
+
+
+def _beside(dashboard: Dashboard, work: Coroutine[Any, Any, None]) -> None:
+    """Do something beside the queue."""
+    task = asyncio.create_task(work)
+    dashboard.tasks.add(task)
+    task.add_done_callback(dashboard.tasks.discard)
 
 
 async def _record(dashboard: Dashboard, run: QueuedRun) -> RunOutcome:
@@ -321,6 +376,35 @@ async def _look_at_bag(dashboard: Dashboard, bag: Path, damper: str) -> None:
         if damper:
             dashboard.recordings.write_notes(recording.id, dataclasses.replace(recording.notes, damper=damper))
         await dashboard.look(recording)
+
+
+async def _report_on_set(dashboard: Dashboard, number: int, batch: str) -> None:
+    """Write the reports on the damper of a set, as `bench` does, once the last of its runs is recorded."""
+    tests = [run for run in dashboard.queue.recorded_set(batch) if run.tests_damper]
+    if not tests:
+        return
+    folder = dashboard.recordings.folder / REPORTS_FOLDER / batch
+    try:
+        sentence = await dashboard.compute(write_set_reports, [run.bag for run in tests], folder, tests[0].damper or batch)
+        message = f"{sentence} The reports are under Dampers."
+    except (InputError, OSError) as error:
+        message = f"no reports: {error}"
+    dashboard.queue.note(number, message)
+    dashboard.audit.write("page", "reports", str(folder), message)
+
+
+def write_set_reports(bags: Sequence[str], folder: Path, serial: str) -> str:
+    """Write the reports on the recordings of a damper's tests; return what they say.
+
+    Raises
+    ------
+    InputError
+        When the recordings show nothing of the damper.
+    """
+    # Plots and tables are slow to import, and only tests of dampers need them.
+    from mrd_characterisation.reports import write_reports
+
+    return write_reports(read_runs(bags), folder, serial=serial).characterisation.sentence
 
 
 async def work_through_queue(dashboard: Dashboard, period: float = 0.2) -> None:

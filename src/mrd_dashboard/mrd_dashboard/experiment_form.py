@@ -13,6 +13,7 @@ import yaml
 from mrd_base import InputError
 from mrd_base.config import yaml_key
 from mrd_trajectory.damper_tests import DamperTest
+from mrd_trajectory.damper_tests.warm_up import WarmUp
 from mrd_trajectory.experiment import Experiment, format_experiment, parse_experiment
 from mrd_trajectory.plan import Peak, plan
 from mrd_trajectory.settings import GeneratorSettings
@@ -58,6 +59,8 @@ class Preview:
         Largest values and their limits.
     curves : mapping of str to list of float
         ``time_s``, ``position_mm``, ``velocity_mm_per_s``, ``current_mA``.
+    tests_damper : bool
+        Whether it belongs to a damper test that measures something; one that warms the damper up does not.
     """
 
     experiment: Experiment
@@ -65,6 +68,7 @@ class Preview:
     duration: float
     peaks: tuple[Peak, ...]
     curves: Mapping[str, list[float]]
+    tests_damper: bool = False
 
 
 def waveform_fields(channel: str, waveform: str) -> list[FormField]:
@@ -203,7 +207,9 @@ def preview_set(files: Sequence[Path], settings: GeneratorSettings) -> list[Prev
                 f"{file.name}: stop_when ends a set that the tool bench runs; run it there, or leave stop_when out"
             )
         try:
-            found += [preview(format_experiment(one), settings) for one in experiments_of(step, settings)]
+            tests_damper = isinstance(step, DamperTest) and not isinstance(step, WarmUp)
+            previews = [preview(format_experiment(one), settings) for one in experiments_of(step, settings)]
+            found += [dataclasses.replace(one, tests_damper=tests_damper) for one in previews]
         except InputError as error:
             raise InputError(f"{file.name}: {error}") from None
     return found

@@ -1,4 +1,4 @@
-"""Fits, diagnoses, trends and reviews that the page starts: each in a process of its own, by the functions of the tools."""
+"""What takes the page long, such as fits and diagnoses: each job in a process of its own, by the functions of the tools."""
 
 import multiprocessing
 import os
@@ -6,19 +6,20 @@ import pickle
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal
 
 from mrd_base import InputError
 
-Kind = Literal["identify", "diagnose", "trend", "review"]
+Kind = Literal["identify", "diagnose", "validate", "trend", "review"]
 State = Literal["running", "done", "failed", "cancelled"]
 
 REPORTS: Mapping[Kind, str] = {
     "identify": "fit.html",
     "diagnose": "gap_report.html",
+    "validate": "validation.html",
     "trend": "trend.html",
     "review": "hybrid_test.html",
 }
@@ -27,6 +28,7 @@ REPORTS: Mapping[Kind, str] = {
 
 FIT_ANYWAY = "fit faulty recordings, too"
 """The choice ``anyway`` as the page names it."""
+_FIT_ANYWAY_REMEDY = f"tick {FIT_ANYWAY!r}, to fit them as they are"
 LOOK_PERIOD = 2.0
 """Wall time in s between two looks for identified dampers."""
 
@@ -37,14 +39,14 @@ class JobRequest:
 
     Attributes
     ----------
-    kind : {"identify", "diagnose", "trend", "review"}
+    kind : {"identify", "diagnose", "validate", "trend", "review"}
         ``review`` compares the recording of a hybrid test with its offline twin.
     runs, held_out, reference : tuple of str
-        Paths of recordings: fitted, held out, and of before something changed (diagnose only).
+        Paths of recordings: fitted (of a validation: predicted), held out, and of before something changed (diagnose only).
     model : str
-        Id of a damper model; for a diagnosis also ``auto``.
+        Id of a damper model; for a fit and a diagnosis also ``auto``, the one that predicts the runs best.
     parameters : str
-        fit.json of the simulator as it is (diagnose only), or "".
+        fit.json of the simulator as it is (diagnose), or that and a gap_report.json of what is validated, or "".
     method : mapping
         Options of `mrd_identification.method.Method` (identify only).
     anyway : bool
@@ -232,7 +234,7 @@ def work(request: JobRequest, folder: str, connection: Connection) -> None:
     """Do a job and send its progress and its end; the body of its process."""
     os.nice(10)  # bench and page come first
     try:
-        works = {"identify": _identify, "diagnose": _diagnose, "trend": _trend, "review": _review}
+        works = {"identify": _identify, "diagnose": _diagnose, "validate": _validate, "trend": _trend, "review": _review}
         done = works[request.kind](request, Path(folder), connection)
         connection.send({"state": "done", "share": 1.0, "stage": "", **done})
     except InputError as error:
@@ -242,6 +244,7 @@ def work(request: JobRequest, folder: str, connection: Connection) -> None:
 
 
 def _identify(request: JobRequest, folder: Path, connection: Connection) -> dict[str, str]:
+    from mrd_diagnosis.diagnose import BEST_MODEL, choose_model
     from mrd_identification.cli.options import look_at_runs
     from mrd_identification.fit_file import write_fit
     from mrd_identification.identify import identify
@@ -253,8 +256,14 @@ def _identify(request: JobRequest, folder: Path, connection: Connection) -> dict
     method = parse_method(**{**request.method, "seed": request.seed})
     fitted, held_out = read_groups([request.runs, request.held_out])
     runs = [*fitted, *held_out]
-    model = find_model(request.model, method.laws, method.given_effects)
-    look_at_runs(runs, request.anyway, model, remedy=f"tick {FIT_ANYWAY!r}, to fit them as they are")
+    if request.model == BEST_MODEL:
+        look_at_runs(runs, request.anyway, remedy=_FIT_ANYWAY_REMEDY)
+        connection.send({"stage": "choosing the damper model", "share": 0.0})
+        chosen = choose_model(fitted, method.seed)
+        name, method = chosen.id, replace(method, laws=chosen.laws)
+    else:
+        name = request.model
+        look_at_runs(runs, request.anyway, find_model(name, method.laws, method.given_effects), remedy=_FIT_ANYWAY_REMEDY)
     total = method.total_generations
 
     front: list[tuple[float, float]] = []
@@ -266,7 +275,7 @@ def _identify(request: JobRequest, folder: Path, connection: Connection) -> dict
         stage = "assessing" if generation == total else f"generation {generation} of {total}"
         connection.send({"stage": stage, "share": generation / total, "nrmse": nrmse, "front": front})
 
-    fit = identify(fitted, request.model, held_out=held_out, method=method, progress=progress, watch=watch)
+    fit = identify(fitted, name, held_out=held_out, method=method, progress=progress, watch=watch)
     write_fit(fit, folder)
     write_report(fit, folder)
     return {"message": fit.sentence}
@@ -297,6 +306,24 @@ def _diagnose(request: JobRequest, folder: Path, connection: Connection) -> dict
     )
     write_gap_report(diagnosis, folder)
     return {"message": diagnosis.sentence, "command": next_command(diagnosis, str(folder))}
+
+
+def _validate(request: JobRequest, folder: Path, connection: Connection) -> dict[str, str]:
+    from mrd_diagnosis.report.validation_page import validation_sentence, write_validation
+    from mrd_diagnosis.validation.validate import validate
+    from mrd_identification.export import load_damper
+    from mrd_identification.fit_file import fitted_sources
+    from mrd_runs import read_runs
+
+    connection.send({"stage": "predicting", "share": 0.1})
+    damper, runs = load_damper(request.parameters), read_runs(request.runs)
+    try:
+        fitted = read_runs(fitted_sources(request.parameters))
+    except InputError:
+        fitted = []  # they were deleted
+    validation = validate(damper, runs, fitted=fitted, seed=request.seed)
+    write_validation(validation, folder)
+    return {"message": validation_sentence(validation)}
 
 
 def _trend(request: JobRequest, folder: Path, connection: Connection) -> dict[str, str]:

@@ -230,6 +230,10 @@ class Recordings:
         os.utime(found.path, ns=(modified.st_atime_ns, modified.st_mtime_ns))
         self._all.expire()
 
+    def expire(self) -> None:
+        """Let the next search look at the folder again: something has been added."""
+        self._all.expire()
+
     def recover(self, recording: str) -> str:
         """Make a readable recording of one whose recorder was killed, beside it; return what came of it in one line."""
         found = self.find(recording)

@@ -3,9 +3,10 @@
 import dataclasses
 import itertools
 import json
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from mrd_base import InputError
 
@@ -43,6 +44,10 @@ class QueuedRun:
         Mode of the bench that it needs: ``control`` for a hybrid test.
     damper : str
         Serial number for the notes of its recording, or "".
+    batch : str
+        Name of the set to which it belongs, unique in the queue, or "".
+    tests_damper : bool
+        Whether the reports of its set are made of it.
     """
 
     number: int
@@ -57,6 +62,8 @@ class QueuedRun:
     bag: str = ""
     kind: Kind = "identification"
     damper: str = ""
+    batch: str = ""
+    tests_damper: bool = False
 
 
 @dataclass
@@ -73,6 +80,8 @@ class RunQueue:
     runs : list of QueuedRun
     paused : bool
         Whether the next run waits for the operator: at first, and after a run that failed.
+    why : str
+        Since what it is paused, such as "after a stop".
     problem : str
         Why the file could not be written, or "".
     stops : int
@@ -82,6 +91,7 @@ class RunQueue:
     file: Path | None = None
     runs: list[QueuedRun] = field(default_factory=list)
     paused: bool = False
+    why: str = ""
     problem: str = ""
     stops: int = 0
 
@@ -92,6 +102,7 @@ class RunQueue:
             except (ValueError, TypeError):
                 self.runs = []  # of another version
             self.paused = any(run.state in ("waiting", "running") for run in self.runs)
+            self.why = "since the page was started again"
             for run in self.runs:
                 if run.state == "running":
                     message = "the page was closed meanwhile; look at the recording, and try again if it is incomplete"
@@ -106,7 +117,8 @@ class RunQueue:
         return self.runs[place]
 
     def _keep(self) -> None:
-        ended = [run for run in self.runs if run.state not in ("waiting", "running")]
+        open_sets = {run.batch for run in self.runs if run.batch and run.state in ("waiting", "running")}
+        ended = [run for run in self.runs if run.state not in ("waiting", "running") and run.batch not in open_sets]
         dropped = {run.number for run in ended[:-_MOST_ENDED]}
         self.runs = [run for run in self.runs if run.number not in dropped]
         if self.file is not None:
@@ -119,18 +131,37 @@ class RunQueue:
                 # A full disk must not keep a run from being seen to end.
                 self.problem = f"{self.file}: {error.strerror}; the queue will be lost with the page"
 
-    def add(
-        self, name: str, experiment: str, duration: float, seed: int = 0, kind: Kind = "identification", damper: str = ""
-    ) -> QueuedRun:
-        """Append a run."""
-        self.runs.append(QueuedRun(next(self._numbers), name, experiment, duration, seed, kind=kind, damper=damper))
+    def add(self, name: str, experiment: str, duration: float, seed: int = 0, **options: Any) -> QueuedRun:
+        """Append a run; ``options``: its ``kind``, ``damper``, ``batch`` and ``tests_damper``."""
+        self.runs.append(QueuedRun(next(self._numbers), name, experiment, duration, seed, **options))
         self._keep()
         return self.runs[-1]
 
+    def new_batch(self, name: str) -> str:
+        """Return a name for a set that no other one in the queue has."""
+        return f"{name}-{time.strftime('%Y%m%d-%H%M%S')}-{1 + max((run.number for run in self.runs), default=0)}"
+
+    def recorded_set(self, batch: str) -> list[QueuedRun]:
+        """Return the latest run of each experiment of a set once all of them are recorded, until then none."""
+        latest = {run.name: run for run in self.runs if run.batch == batch}
+        return list(latest.values()) if all(run.state == "done" for run in latest.values()) else []
+
     def stop(self) -> None:
         """Let the runs that wait, wait for the operator: somebody stops the bench."""
-        self.paused = True
+        self.pause("after a stop")
         self.stops += 1
+
+    def pause(self, why: str) -> None:
+        """Let the runs that wait, wait for the operator."""
+        self.paused, self.why = True, why
+
+    def note(self, number: int, message: str) -> None:
+        """Add a sentence to how a run has ended, unless it has been taken out of the list."""
+        for run in self.runs:
+            if run.number == number:
+                self._replace(number, message="; ".join(filter(None, (run.message, message))))
+                self._keep()
+                return
 
     def require_no_stop_since(self, stops: int) -> None:
         """Refuse what was asked for when there were so many stops, if there are more now: nothing moves by it any more."""
@@ -140,7 +171,8 @@ class RunQueue:
     def retry(self, number: int) -> QueuedRun:
         """Append a run that has ended once more."""
         run = self._replace(number)
-        return self.add(run.name, run.experiment, run.duration, run.seed, run.kind, run.damper)
+        options = {"kind": run.kind, "damper": run.damper, "batch": run.batch, "tests_damper": run.tests_damper}
+        return self.add(run.name, run.experiment, run.duration, run.seed, **options)
 
     def remove(self, number: int) -> None:
         """Take a run out that does not run."""
@@ -167,9 +199,26 @@ class RunQueue:
 
     def end(self, number: int, state: State, message: str, bag: str) -> None:
         """Note how a run has ended; the runs after one that did not end well wait for the operator."""
-        self._replace(number, state=state, phase="", message=message, bag=bag)
-        self.paused = self.paused or (state != "done" and any(run.state == "waiting" for run in self.runs))
+        run = self._replace(number, state=state, phase="", message=message, bag=bag)
+        if state != "done" and not self.paused and self.waiting:
+            self.pause(f"after run {number}, {run.name}, has failed")
         self._keep()
+
+    @property
+    def waiting(self) -> list[QueuedRun]:
+        """The runs that wait, the next one first."""
+        return [run for run in self.runs if run.state == "waiting"]
+
+    def sentence(self) -> str:
+        """Return what the queue does, and what waits in it."""
+        waiting = self.waiting
+        waits = f"{len(waiting)} waiting, next is {waiting[0].name}" if waiting else "nothing waits"
+        if self.paused:
+            return f"{' '.join(filter(None, ('queue paused', self.why)))}: {waits}"
+        if self.running is None and not waiting:
+            return "queue empty"
+        runs = [f"{self.running.name} runs"] if self.running else []
+        return f"queue: {', '.join([*runs, waits])}, about {self.time_left:.0f} s left"
 
     @property
     def running(self) -> QueuedRun | None:

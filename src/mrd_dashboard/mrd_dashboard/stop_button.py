@@ -22,6 +22,11 @@ HEAD = f"""
     clearTimeout(window.mrdSilence);
     window.mrdSilence = setTimeout(() => {{ say.hidden = true; }}, 10000);
   }}
+  function mrdReleased() {{
+    // Only what the release makes untrue: that a stop was not sent stays.
+    const say = document.getElementById('mrd-said');
+    if (say.textContent === 'stop sent') say.hidden = true;
+  }}
   async function mrdStop() {{
     mrdSay('stop requested', '#b45309');
     let why = 'the server of the page does not answer';

@@ -69,7 +69,7 @@ def test_a_second_operator_only_watches(visit, commands, dashboard) -> None:
     assert commands.asked == []
 
 
-def test_mode_reason_and_remedy_of_a_trip_are_seen(visit, dashboard) -> None:
+def test_mode_reason_and_remedy_of_a_trip_are_seen(visit, dashboard, patient) -> None:
     reason = "interlock force: 812 N on the load cell, limit ±800 N; reduce coil current or speed, or check the cell"
     hear(dashboard, Mode.FAULT, reason)
 

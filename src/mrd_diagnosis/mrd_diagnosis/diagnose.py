@@ -163,6 +163,20 @@ def diagnose(
     return replace(diagnosis, notes=notes, stand_in=stand_in)
 
 
+def choose_model(runs: Sequence[Run], seed: int = 0) -> DamperModel:
+    """Return the damper model that predicts recordings best without any effect, as a diagnosis with the model "auto" does.
+
+    Raises
+    ------
+    InputError
+        For no runs.
+    """
+    runs = checked_runs(runs)
+    recordings = RecordingSet.prepare(runs, (), ())
+    start = find_model(START_OF_CHOICE, scales=scales_of(runs))
+    return best_model(start, thinned(recordings.after, MOST_SAMPLES), np.random.default_rng(seed))
+
+
 @dataclass(frozen=True)
 class _Asked:
     """What was asked of the diagnosis."""

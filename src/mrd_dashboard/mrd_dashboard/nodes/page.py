@@ -51,6 +51,7 @@ from mrd_dashboard.audit import AuditLog
 from mrd_dashboard.bench_view import DAQ, SERVO, BenchView, NodeHealth
 from mrd_dashboard.control_right import ControlRight
 from mrd_dashboard.dashboard import Dashboard, Progress, RunOutcome
+from mrd_dashboard.guide import Guide
 from mrd_dashboard.jobs import Jobs
 from mrd_dashboard.recordings import Recordings
 from mrd_dashboard.run_queue import Kind, RunQueue
@@ -239,6 +240,7 @@ class Page(BenchNode[PageConfig]):
             workers=self._workers,
             bench_file=bench,
             plant=str(plant) if plant.is_file() else "",
+            guide=Guide(folder / "guide.json"),
         )
         self._listen()
         self._server = PageServer(dashboard, config.host, config.port, credentials, config.names)

@@ -15,11 +15,11 @@ from mrd_dashboard.jobs import FIT_ANYWAY, Job, JobRequest, Kind
 from mrd_dashboard.pages.notes import tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
 from mrd_dashboard.recordings import Recording
+from mrd_diagnosis.diagnose import BEST_MODEL
 from mrd_identification.fit_file import read_fit
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import MODELS
 
-BEST = "auto"
 FIT_FIRST = "none: the model is fitted first"
 MOST_JOBS = 20
 """Jobs that are listed, the latest; the files of all are in ``runs/results``."""
@@ -52,7 +52,7 @@ def offered(recordings: Iterable[Recording], text: str, chosen: Sequence[str]) -
     return [*found, *(name for name in chosen if name not in found)]
 
 
-class _RecordingsField(ui.select):
+class RecordingsField(ui.select):
     """Field to choose recordings, which are searched by the server: there may be very many."""
 
     def __init__(self, label: str) -> None:
@@ -92,15 +92,15 @@ def request_of(dashboard: Dashboard, kind: Kind, form: Mapping[str, Any]) -> Job
     InputError
         For what this kind of job cannot do.
     """
-    if form["model"] == BEST and kind != "diagnose":
-        raise InputError(f"{kind}: the model is {BEST}, which only a diagnosis can choose; choose a damper model")
+    if form["model"] == BEST_MODEL and kind == "trend":
+        raise InputError(f"trend: the model is {BEST_MODEL}, which a trend cannot choose; choose a damper model")
     if kind == "trend" and not form["follow"]:
         raise InputError("trend: no parameter is chosen; choose the one to follow")
     model, fit = form["model"], form["fit"] if kind == "diagnose" else ""
     if fit:
         fitted = read_fit(fit).model
-        if model not in (BEST, fitted):
-            raise InputError(f"diagnose: {Path(fit).parent.name} is a fit of {fitted}; choose this model, or {BEST}")
+        if model not in (BEST_MODEL, fitted):
+            raise InputError(f"diagnose: {Path(fit).parent.name} is a fit of {fitted}; choose this model, or {BEST_MODEL}")
         model = fitted
     return JobRequest(
         kind,
@@ -127,10 +127,10 @@ def _form(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
     }
     ui.label("Identify or diagnose").classes("text-base font-medium")
     fields = [
-        _RecordingsField(label).props("dense use-chips").classes("w-full").bind_value(form, key).mark(key)
+        RecordingsField(label).props("dense use-chips").classes("w-full").bind_value(form, key).mark(key)
         for key, label in labels.items()
     ]
-    model = ui.select([BEST, *MODELS], label="damper model").props("dense").classes("w-full").bind_value(form, "model")
+    model = ui.select([BEST_MODEL, *MODELS], label="damper model").props("dense").classes("w-full").bind_value(form, "model")
     model.mark("model")
     fit = ui.select({"": FIT_FIRST}, label="fit to start from (diagnosis)").props("dense").classes("w-full")
     fit.bind_value(form, "fit").mark("fit")
@@ -233,7 +233,10 @@ def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
             return
         jobs = dashboard.jobs
         running = jobs.running
-        stage.text = f"job {running.number}, {running.request.kind}: {running.stage}" if running else "nothing is computed"
+        stage.text = f"job {running.number}, {running.request.kind}: {running.stage}" if running else ""
+        if not jobs.all:
+            stage.text = "No fit or diagnosis was made yet."
+        stage.set_visibility(bool(stage.text))
         cancel_button.set_visibility(running is not None)
         bar.set_visibility(running is not None)
         bar.value = running.share if running else 0.0

@@ -46,10 +46,12 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
     missing = ui.label("No controller is up: hybrid tests need a bench that was started with --control.").classes(
         "text-sm text-warning"
     )
-    entries = ui.column().classes("w-full gap-1")
-    with ui.row():
-        check_button = ui.button("Check", on_click=lambda: look()).props("outline no-caps").mark("check test")
-        add_button = ui.button("Add to queue", on_click=lambda: add()).props("no-caps unelevated").mark("queue test")
+    closable = ui.column().classes("w-full gap-2")
+    with closable:
+        entries = ui.column().classes("w-full gap-1")
+        with ui.row():
+            check_button = ui.button("Check", on_click=lambda: look()).props("outline no-caps").mark("check test")
+            add_button = ui.button("Add to queue", on_click=lambda: add()).props("no-caps unelevated").mark("queue test")
     answer = ui.label().classes("text-sm whitespace-pre-line").mark("check answer")
     shown = ui.column().classes("w-full gap-2")
 
@@ -97,8 +99,16 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
 
         tell(await dashboard.act(who, "queue a hybrid test", work, found.name))
 
+    def close_or_open() -> None:
+        """Close the form while there is no controller: what is inert takes neither clicks nor keys."""
+        there = dashboard.bench.lives(CONTROLLER)
+        missing.set_visibility(not there)
+        closable.props(remove="inert") if there else closable.props("inert")
+        closable.classes(remove="opacity-50") if there else closable.classes("opacity-50")
+
     draw()
-    ui.timer(REFRESH, lambda: missing.set_visibility(not dashboard.bench.lives(CONTROLLER)))
+    close_or_open()
+    ui.timer(REFRESH, close_or_open)
 
 
 def _fits(dashboard: Dashboard) -> dict[str, Path]:

@@ -7,14 +7,27 @@ from nicegui import ui
 
 from mrd_dashboard.dashboard import Answer
 
+_LOOK_PERIOD = 0.5
+"""Wall time in s between two looks whether a refusal is still true."""
+
 
 def tell(answer: Answer) -> None:
-    """Show what came of an action; a refusal stays until it is closed, because it says what to do."""
+    """Show what came of an action; a refusal stays until it is closed or no longer true, because it says what to do."""
     if answer.success:
         ui.notify(answer.message, type="positive")
-    else:
-        close = [{"label": "Close", "color": "white"}]
-        ui.notify(answer.message, type="negative", timeout=0, actions=close, multi_line=True)
+        return
+    refusal = ui.notification(answer.message, type="negative", timeout=None, close_button="Close", multi_line=True)
+    if (outdated := answer.outdated) is None:
+        return
+
+    def look() -> None:
+        if refusal.is_deleted or outdated():
+            timer.cancel()
+            if not refusal.is_deleted:
+                refusal.dismiss()
+
+    with refusal:
+        timer = ui.timer(_LOOK_PERIOD, look)
 
 
 @contextlib.contextmanager

@@ -7,19 +7,9 @@ from typing import Any
 from nicegui import ui
 
 from mrd_base import InputError
-from mrd_base.lease import Mode
 from mrd_characterisation.damper_test import checked_serial
 from mrd_dashboard.dashboard import Dashboard, Visitor
-from mrd_dashboard.experiment_form import (
-    Preview,
-    find_experiments,
-    find_sets,
-    form_of,
-    form_text,
-    preview,
-    preview_set,
-    waveform_fields,
-)
+from mrd_dashboard.experiment_form import Preview, find_experiments, find_sets, form_of, form_text, preview, waveform_fields
 from mrd_dashboard.pages.notes import busy, tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
 from mrd_dashboard.pages.recordings import recordings_list
@@ -126,20 +116,15 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         tell(await dashboard.act(who, "queue a run", work, found.experiment.name))
 
     async def add_set() -> None:
-        name, serial, stops = chosen_set.value, damper.value or "", dashboard.queue.stops
+        name, serial = chosen_set.value, damper.value or ""
 
         async def work() -> str:
             if name not in sets:
                 raise InputError("no set is chosen; choose a folder of experiments")
             if serial:
                 checked_serial(serial, "serial number")
-            # As `bench` does, all are checked before the first one waits.
             with busy(set_button):
-                found = await dashboard.compute(preview_set, sets[name], dashboard.bench.generator)
-            dashboard.queue.require_no_stop_since(stops)
-            for one in found:
-                dashboard.queue.add(one.experiment.name, one.text, one.duration, damper=serial)
-            return f"the {len(found)} runs of {name} wait in the queue"
+                return await dashboard.queue_set(name, sets[name], serial)
 
         tell(await dashboard.act(who, "queue a set", work, str(name)))
 
@@ -201,13 +186,7 @@ def _queue(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> Non
     listed: list[object] = [None]
 
     async def change_pause() -> None:
-        async def work() -> str:
-            if dashboard.queue.paused and dashboard.bench.mode is Mode.FAULT:
-                raise InputError("the bench is in mode fault, so that the next run would fail; reset the fault first")
-            dashboard.queue.paused = not dashboard.queue.paused
-            return "the queue waits" if dashboard.queue.paused else "the queue goes on"
-
-        tell(await dashboard.act(who, "pause or resume the queue", work))
+        tell(await dashboard.change_pause(who))
 
     async def act(action: str, number: int) -> None:
         async def work() -> str:

@@ -12,6 +12,7 @@ from mrd_dashboard.guard import LOGIN
 from mrd_dashboard.pages.analysis import analysis_page
 from mrd_dashboard.pages.control import control_page
 from mrd_dashboard.pages.dampers import dampers_page
+from mrd_dashboard.pages.guide import guide_page
 from mrd_dashboard.pages.live import REFRESH, live_page
 from mrd_dashboard.pages.notes import tell
 from mrd_dashboard.pages.runs import runs_page
@@ -19,6 +20,7 @@ from mrd_dashboard.web import LOGOUT, SESSION_OPEN, visitor
 
 # The tabs in their order.
 PAGES = {
+    "Guide": guide_page,
     "Live": live_page,
     "Runs": runs_page,
     "Control": control_page,
@@ -29,7 +31,7 @@ PAGES = {
 _COLOURS = {Mode.IDLE: "grey-7", Mode.FAULT: "negative"}
 # An emergency stop is told by the node that hears it first.
 _STOPPED = re.compile(r"(interlock (daq|servo) fault: |daq: |servo: )?emergency stop\b")
-_THEME = "mrd_theme"  # name of the cookie that keeps it
+_THEME, _TAB = "mrd_theme", "mrd_tab"  # names of the cookies that keep them
 
 _PRIMARY = "#3b7ebf"
 """Colour of buttons: white can be read on it, and it can be read on white and on black."""
@@ -37,7 +39,7 @@ _PRIMARY = "#3b7ebf"
 _STYLE = """
 <style>
   .q-header { z-index: 8000 !important; }
-  .q-dialog__inner { top: 64px !important; }
+  .q-dialog__inner { top: 100px !important; }
   .body--dark .text-negative { --q-negative: #ff6b6b; }
 </style>
 """
@@ -68,6 +70,11 @@ def what_happens(dashboard: Dashboard) -> str:
     return f"{run.name}: {run.phase}, {left:.0f} s left"
 
 
+def _word(tab: str) -> str:
+    """Return the name of a tab as a cookie can hold it."""
+    return tab.replace(" ", "_")
+
+
 def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = False) -> None:
     """Build the page for a visitor, by default the one whose browser asks for it; ``login``: whether one can log out."""
     request = ui.context.client.request
@@ -79,11 +86,12 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
     ui.add_body_html(stop_button.BODY)
     ui.page_title("Damper bench")
     ui.colors(primary=_PRIMARY)
-    with ui.header(elevated=True).classes("items-center gap-4 py-1 px-4 no-wrap bg-slate-800 text-white"):
+    header = ui.header(elevated=True).classes("flex-col gap-0 py-1 px-4 bg-slate-800 text-white")
+    with header, ui.row().classes("w-full items-center gap-4 max-md:gap-2 no-wrap"):
         ui.label("Damper bench").classes("text-lg font-medium max-lg:hidden")
         mode = ui.chip("").props("square text-color=white").classes("text-base shrink-0")
-        reason = ui.label().classes("grow text-sm min-w-0 line-clamp-2")
-        holder = ui.label().classes("text-sm max-lg:hidden")
+        reason = ui.label().classes("grow text-sm min-w-0 line-clamp-2 max-md:hidden")
+        ui.space().classes("md:hidden")
         control = ui.button("Take control", on_click=lambda: change_control()).props(
             "outline dense no-caps color=white padding='4px 10px'"
         )
@@ -99,9 +107,17 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
                 "click", js_handler=f"() => fetch('{LOGOUT}', {{method: 'POST'}}).finally(() => location.assign('{LOGIN}'))"
             )
         # It stands in the header, which never scrolls away.
-        ui.button("STOP").props("color=negative size=xl unelevated padding='6px 40px'").classes(
-            "mrd-stop font-bold shrink-0"
+        ui.button("STOP").props("color=negative size=xl unelevated padding='6px 0'").classes(
+            "mrd-stop font-bold shrink-0 w-40 max-md:w-24"
         ).mark("stop").tooltip("Stops rod and coil at once; latched until reset fault. It needs no control.")
+    with header, ui.row().classes("w-full items-center gap-4 max-md:gap-2 no-wrap text-sm min-h-7"):
+        queue = ui.label().classes("min-w-0 truncate").mark("queue state")
+        release = ui.button("Resume queue", on_click=lambda: go_on()).props(
+            "dense no-caps unelevated color=warning text-color=black padding='0 10px'"
+        )
+        release.classes("shrink-0").mark("go on")
+        ui.space()
+        holder = ui.label().classes("shrink-0 max-w-[45%] truncate").mark("holder")
     with ui.tabs().classes("w-full").props("align=left no-caps dense") as tabs:
         for name in PAGES:
             ui.tab(name)
@@ -109,10 +125,27 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
     def shows(name: str) -> bool:
         return bool(tabs.value == name)
 
-    with ui.tab_panels(tabs, value="Live").classes("w-full bg-transparent").props("keep-alive"):
+    opened = (request.cookies.get(_TAB) or "") if request else ""
+    first = next((name for name in PAGES if _word(name) == opened), next(iter(PAGES)))
+    with (
+        ui.tab_panels(tabs, value=first, on_change=lambda event: keep_tab(event.value))
+        .classes("w-full bg-transparent")
+        .props("keep-alive")
+    ):
         for name, build in PAGES.items():
             with ui.tab_panel(name).classes("p-2"):
                 build(dashboard, who, partial(shows, name))
+
+    def keep_tab(name: str) -> None:
+        """Let the browser open this tab again when it loads the page again."""
+        ui.run_javascript(f"document.cookie = '{_TAB}={_word(name)}; path=/; max-age=31536000; samesite=lax'")
+
+    async def go_on() -> None:
+        if dashboard.bench.mode is Mode.FAULT:
+            tell(await dashboard.call(who, "reset fault"))
+        else:
+            tell(await dashboard.change_pause(who))
+        refresh()
 
     def change_theme(event: events.GenericEventArguments) -> None:
         dark.value = not event.args
@@ -134,6 +167,8 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
         tell(await dashboard.act(who, "take control" if taken else "release control", change, watching=True))
         refresh()
 
+    released = [True]
+
     def refresh() -> None:
         bench, right = dashboard.bench, dashboard.control
         right.seen(who.session)
@@ -141,6 +176,13 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
         mode.text = str(bench.mode) if known else "no supervisor"
         mode.props(f"color={_COLOURS.get(bench.mode, 'primary') if known else 'negative'}")
         reason.text = "; ".join(filter(None, (what_happens(dashboard), dashboard.problem)))
+        fault = known and bench.mode is Mode.FAULT
+        if not fault and not released[0]:
+            ui.run_javascript("mrdReleased()")
+        released[0] = not fault
+        queue.text = dashboard.queue.sentence()
+        release.text = "Reset fault" if fault else "Resume queue"
+        release.set_visibility(fault or dashboard.queue.paused)
         holds = right.holds(who.session)
         control.text = "Release control" if holds else "Take control"
         holder.text = "you hold control" if holds else f"{right.name} holds control" if right.holder else "nobody in control"
