@@ -225,6 +225,7 @@ def test_the_layouts_show_fields_that_exist() -> None:
     assert {
         f".bench.measurement.{name}" for name in ("position", "velocity", "force", "coil_current", "acceleration")
     } <= paths
+    assert ".bench.temperature.temperature" in paths
 
 
 def test_sourcing_the_workspace_is_enough() -> None:

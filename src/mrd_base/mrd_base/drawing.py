@@ -21,7 +21,14 @@ Array = NDArray[np.float64]
 
 INK, SOFT, LINE = "#010203", "#040506", "#070809"
 """Colours that stand for those of the page, which are dark on light or light on dark."""
-_OF_PAGE = {INK: "var(--ink)", SOFT: "var(--soft)", LINE: "var(--line)", "#616e7c": "var(--soft)", "#52606d": "var(--soft)"}
+_OF_PAGE = {
+    INK: "var(--ink)",
+    SOFT: "var(--soft)",
+    LINE: "var(--line)",
+    "#616e7c": "var(--soft)",
+    "#52606d": "var(--soft)",
+    "#d5dbe1": "var(--empty)",
+}
 
 FONT_SIZE = 13.0
 CHARACTER = 0.56
@@ -387,6 +394,7 @@ class _Drawing:
         elif layout.get("type") != "log" and side.get_converter() is None:
             most = min(layout.get("nticks") or 7, max(3, int(pixels / (70 if axis == "x" else 45))))
             side.set_major_locator(MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]))
+            side.get_major_formatter().set_useOffset(False)  # a summand beside the axis would run into its title
         elif side.get_converter() is not None:
             locator = AutoDateLocator(minticks=2, maxticks=max(5, int(pixels / 90)))
             side.set_major_locator(locator)

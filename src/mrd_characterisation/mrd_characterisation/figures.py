@@ -121,7 +121,7 @@ def responses(characterisations: Sequence[Characterisation]) -> go.Figure:
                     col=column,
                 )
             number += 1
-    figure.update_xaxes(title_text="time since the step of the current, ms")
+    figure.update_xaxes(title_text="time since the step, ms")
     figure.update_yaxes(title_text="share of the change", row=1, col=1)
     return figure.update_layout(**LAYOUT, height=400)
 

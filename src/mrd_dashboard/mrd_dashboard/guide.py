@@ -15,6 +15,7 @@ from mrd_diagnosis.closure.closure import exceeded_ranges
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.validation_page import NEAR_NOISE
 from mrd_identification.correction import correction_of_report
+from mrd_identification.fit_file import read_fit
 from mrd_identification.parallel import in_threads
 from mrd_identification.preflight import preflight
 from mrd_identification.recording import prepare_recording
@@ -157,6 +158,8 @@ class Guide:
     def _outcome(self, step: Step, job: Job) -> Outcome:
         passed, sentence = job.state == "done", job.message
         try:
+            if passed and step == "fit":
+                sentence = f"{read_fit(job.folder / 'fit.json').model} is fitted. {sentence}"
             if passed and step == "diagnose":
                 passed = read_gap_report(job.folder / "gap_report.json")["verdict"] != "data_fault"
             if passed and step == "validate":
@@ -213,16 +216,18 @@ def check_data(paths: Sequence[str]) -> DataCheck:
     runs = read_runs(paths)
     findings = preflight(runs)
     passed = all(finding.severity != "fault" for finding in findings)
-    sentence = f"The data check finds nothing in {_count(len(runs))}."
-    if findings:
-        more = f" There {'is' if len(findings) == 2 else 'are'} {len(findings) - 1} more." if len(findings) > 1 else ""
-        sentence = f"The worst finding is a {findings[0].severity}: {findings[0].sentence.rstrip('.')}.{more}"
+    # A remark describes what was recorded.
+    worst = [finding for finding in findings if finding.severity != "remark"]
+    sentence = f"The data check finds nothing wrong in {_count(len(runs))}."
+    if worst:
+        others = f" There {'is' if len(worst) == 2 else 'are'} {len(worst) - 1} more." if len(worst) > 1 else ""
+        sentence = f"The worst finding is a {worst[0].severity}: {worst[0].sentence.rstrip('.')}.{others}"
     place, held_back = hold_back(runs) if passed else (None, "")
     return DataCheck(passed, sentence, place, held_back)
 
 
 def hold_back(runs: Sequence[Run]) -> tuple[int | None, str]:
-    """Choose a run that is predicted at the end, and is not fitted: one within the others that has the median rms force.
+    """Choose a run that is predicted at the end, and is not fitted: one within the others, neither the hardest nor the easiest.
 
     Returns
     -------
@@ -248,7 +253,7 @@ def hold_back(runs: Sequence[Run]) -> tuple[int | None, str]:
             "more run within them, and choose it for the step Validate."
         )
     by_force = sorted(within, key=lambda place: float(np.std(runs[place].force)))
-    place = by_force[len(by_force) // 2]
+    place = by_force[(len(by_force) - 1) // 2]
     return place, f"{runs[place].name} is held back: it is not fitted, but predicted at the end."
 
 

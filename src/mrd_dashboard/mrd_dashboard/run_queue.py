@@ -16,6 +16,7 @@ State = Literal["waiting", "running", "done", "failed", "stopped"]
 # Wall time in s between two runs, for homing, tare, and the closing of the bag, by which the time left is estimated.
 _BETWEEN_RUNS = 5.0
 _MOST_ENDED = 100
+_OPEN = ("waiting", "running")
 
 
 @dataclass(frozen=True)
@@ -116,9 +117,10 @@ class RunQueue:
         self.runs[place] = dataclasses.replace(self.runs[place], **changes)  # type: ignore[arg-type]
         return self.runs[place]
 
-    def _keep(self) -> None:
-        open_sets = {run.batch for run in self.runs if run.batch and run.state in ("waiting", "running")}
-        ended = [run for run in self.runs if run.state not in ("waiting", "running") and run.batch not in open_sets]
+    def _keep(self, ended_set: str = "") -> None:
+        # Of a set that goes on, or has ended now, all runs are needed.
+        sets = {ended_set, *(run.batch for run in self.runs if run.state in _OPEN)} - {""}
+        ended = [run for run in self.runs if run.state not in _OPEN and run.batch not in sets]
         dropped = {run.number for run in ended[:-_MOST_ENDED]}
         self.runs = [run for run in self.runs if run.number not in dropped]
         if self.file is not None:
@@ -202,7 +204,7 @@ class RunQueue:
         run = self._replace(number, state=state, phase="", message=message, bag=bag)
         if state != "done" and not self.paused and self.waiting:
             self.pause(f"after run {number}, {run.name}, has failed")
-        self._keep()
+        self._keep(run.batch)
 
     @property
     def waiting(self) -> list[QueuedRun]:

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -15,7 +16,7 @@ import pytest
 
 from mrd_base import InputError
 from mrd_dashboard.bench_view import NODE_SILENT_AFTER, NodeHealth
-from mrd_dashboard.dashboard import Visitor, run_next
+from mrd_dashboard.dashboard import REPORTS_FOLDER, RunOutcome, Visitor, run_next
 from mrd_dashboard.experiment_form import (
     find_experiments,
     find_sets,
@@ -25,6 +26,7 @@ from mrd_dashboard.experiment_form import (
     preview_set,
     waveform_fields,
 )
+from mrd_dashboard.import_files import import_files
 from mrd_dashboard.look import Look, cached_look, keep_look, look_at
 from mrd_dashboard.recordings import Notes, Recordings, make_notes, notes_form
 from mrd_dashboard.run_queue import RunQueue
@@ -35,6 +37,7 @@ from mrd_trajectory.settings import GeneratorSettings
 from mrd_trajectory.steps import is_damper_test
 from mrd_trajectory.waveforms import CHANNEL_UNITS, WAVEFORMS
 
+WORN = Path(__file__).resolve().parents[3] / "examples/worn_joint"
 ANN, BOB = Visitor("a", "Ann"), Visitor("b", "Bob")
 SINE = """
 name: sine
@@ -333,6 +336,72 @@ def test_the_serial_number_of_a_run_goes_into_the_notes_of_its_recording(dashboa
     assert [recording.notes.damper for recording in dashboard.recordings.search()] == ["SN-1"]
     assert dashboard.queue.retry(run.number).damper == "SN-1"
     assert [again.damper for again in RunQueue(dashboard.queue.file).runs] == ["SN-1", "SN-1"]
+
+
+def test_a_set_that_tests_a_damper_ends_with_the_reports_of_the_tool(dashboard, commands, tmp_path, monkeypatch) -> None:
+    """As `bench` writes them: characterisation and sheet, found by the serial number."""
+    names = ("1_multisine", "2_slow_stroke")
+    import_files([WORN / f"{name}.csv" for name in names], tmp_path / "imported")
+    succeeds = iter((True, False, True))
+
+    async def run(_kind, experiment: str, bag: Path, _seed, _progress) -> RunOutcome:
+        if not next(succeeds):
+            return RunOutcome(False, "the force was too large", "")
+        shutil.copytree(tmp_path / "imported" / experiment.removeprefix("name: "), bag)
+        return RunOutcome(True, "recorded", str(bag))
+
+    monkeypatch.setattr(commands, "run", run)
+    batch = dashboard.queue.new_batch("speed_sweep")
+    for name in names:
+        dashboard.queue.add(name, f"name: {name}", 5.0, damper="SN-1", batch=batch, tests_damper=True)
+    asyncio.run(_work_off(dashboard))
+    reports = dashboard.recordings.folder / REPORTS_FOLDER / batch
+    assert not reports.exists()  # one of its runs has failed
+    dashboard.queue.retry(dashboard.queue.runs[-1].number)
+    asyncio.run(_work_off(dashboard))
+    assert {"characterisation.json", "characterisation.html", "sheet.html"} <= {file.name for file in reports.iterdir()}
+    assert dashboard.queue.runs[-1].message.endswith("The reports are under Dampers.")
+    asyncio.run(dashboard.dampers.look(dashboard.compute))
+    (damper,) = dashboard.dampers.dampers(dashboard.recordings.search())
+    assert (damper.serial, len(damper.tests)) == ("SN-1", 1)
+
+
+def test_a_set_without_anything_to_tell_says_so(dashboard, commands) -> None:
+    batch = dashboard.queue.new_batch("empty")
+    dashboard.queue.add("sine", SINE, 5.0, batch=batch, tests_damper=True)
+    asyncio.run(_work_off(dashboard))
+    assert "no reports: " in dashboard.queue.runs[-1].message
+
+
+def test_the_queue_says_what_it_waits_for(tmp_path: Path) -> None:
+    queue = RunQueue()
+    assert queue.sentence() == "queue empty"
+    queue.stop()
+    assert queue.sentence() == "queue paused after a stop: nothing waits"
+    first, second = queue.add("first", SINE, 5.0), queue.add("second", SINE, 5.0)
+    assert queue.sentence() == "queue paused after a stop: 2 waiting, next is first"
+    queue.paused = False
+    queue.start(first.number, tmp_path)
+    assert queue.sentence() == "queue: first runs, 1 waiting, next is second, about 20 s left"
+    queue.end(first.number, "failed", "no space", "")
+    assert queue.sentence() == f"queue paused after run {first.number}, first, has failed: 1 waiting, next is second"
+    queue.remove(second.number)
+    queue.paused = False
+    assert queue.sentence() == "queue empty"
+
+
+def test_the_runs_of_a_set_stay_in_the_queue_until_it_has_ended(tmp_path: Path) -> None:
+    queue = RunQueue()
+    runs = [queue.add(f"run{number}", SINE, 1.0, batch="long-1", tests_damper=True) for number in range(120)]
+    for run in runs:
+        assert queue.recorded_set("long-1") == []
+        queue.start(run.number, tmp_path)
+        last = run is runs[-1]
+        if last:
+            assert len(queue.runs) == len(runs)
+        queue.end(run.number, "done", "", "bag")
+        if last:
+            assert len(queue.recorded_set("long-1")) == len(runs)
 
 
 async def _work_off(dashboard) -> None:

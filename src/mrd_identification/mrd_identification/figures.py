@@ -194,7 +194,7 @@ def correlation(fit: Fit) -> go.Figure:
         )
     )
     figure.update_yaxes(autorange="reversed", automargin=True)
-    figure.update_xaxes(automargin=True, tickangle=45)
+    figure.update_xaxes(automargin=True, tickangle=90)
     figure.update_layout(**LAYOUT, height=460)
     return figure
 

@@ -80,7 +80,7 @@ def dampers_page(dashboard: Dashboard, _who: Visitor, shown: Callable[[], bool])
         rows = [_row(damper) for damper in found]
         if rows != table.rows:
             table.rows = rows
-        count.text = f"{len(rows)} dampers"
+        count.text = f"{len(rows)} damper{'' if len(rows) == 1 else 's'}"
         await draw()
 
     async def choose(event: events.GenericEventArguments) -> None:

@@ -124,9 +124,11 @@ class _StepCard:
                     self.cancel = ui.button("Cancel").props("outline dense no-caps padding='2px 10px'")
                 self.body = ui.column().classes("w-full gap-2")
                 with ui.row().classes("items-center gap-2"):
-                    self.next = ui.button(following, on_click=go).props("no-caps unelevated").mark(f"guide {following}")
+                    self.next = (
+                        ui.button(f"Next: {following}", on_click=go).props("no-caps unelevated").mark(f"guide {following}")
+                    )
                     self.report = ui.button("Report").props("outline no-caps target=_blank").mark(f"report {step}")
-        self.next.set_visibility(bool(following))
+        self._following = following
 
     def show(self, dashboard: Dashboard, step: Step, jobs: Mapping[str, Job]) -> None:
         """Show how far the step is."""
@@ -148,7 +150,9 @@ class _StepCard:
         passed = bool(outcome and outcome.passed)
         # One can go back to any step that has passed, and choose others for the next one.
         self.body.set_visibility(passed or step == "data")
-        self.next.set_enabled(step == "data" or (passed and guide.under_way is None))
+        self.next.set_visibility(bool(self._following) and (passed or step == "data"))
+        if not self.next.props.get("loading"):
+            self.next.set_enabled(guide.under_way is None)
         self.report.set_visibility(job is not None and outcome is not None and job.report.is_file())
         if job is not None:
             self.report.props(f'href="/report/{job.number}"')

@@ -118,7 +118,9 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
         release.classes("shrink-0").mark("go on")
         ui.space()
         holder = ui.label().classes("shrink-0 max-w-[45%] truncate").mark("holder")
-    with ui.tabs().classes("w-full").props("align=left no-caps dense") as tabs:
+    with header:  # on a telephone, where there is no room beside the stop button
+        reason_below = ui.label().classes("text-sm md:hidden line-clamp-3")
+    with ui.tabs().classes("w-full").props("align=left no-caps dense outside-arrows mobile-arrows") as tabs:
         for name in PAGES:
             ui.tab(name)
 
@@ -175,7 +177,7 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
         known = bench.supervised
         mode.text = str(bench.mode) if known else "no supervisor"
         mode.props(f"color={_COLOURS.get(bench.mode, 'primary') if known else 'negative'}")
-        reason.text = "; ".join(filter(None, (what_happens(dashboard), dashboard.problem)))
+        reason.text = reason_below.text = "; ".join(filter(None, (what_happens(dashboard), dashboard.problem)))
         fault = known and bench.mode is Mode.FAULT
         if not fault and not released[0]:
             ui.run_javascript("mrdReleased()")

@@ -35,6 +35,8 @@ MOST_SECONDS = 8.0
 MOST_PERIODS = 30
 """Periods of an oscillation in a plot over time; more of them cannot be told from each other."""
 
+LEAST_TICKS = 3
+"""Of a logarithmic colour bar: one alone would tell no scale."""
 NO_DATA = "#d5dbe1"
 """Background of maps, darker than the lowest colour of `HEAT`."""
 
@@ -309,8 +311,11 @@ def _colour_axis(unit: str, low: float, high: float) -> dict[str, Any]:
     title = f"rms error, {unit}" if unit == "N" else f"error, {unit}, logarithmic"
     bar: dict[str, Any] = {"thickness": 10, "title": {"text": title, "side": "right"}, "xpad": 4, "outlinewidth": 0}
     if unit != "N":
-        ticks = np.outer(10.0 ** np.arange(-6, 7), [1, 2, 5] if high < 30 * low else [1]).ravel()
-        ticks = ticks[(ticks >= low) & (ticks <= high)]
+        for steps in ([1], [1, 3], [1, 2, 5], range(1, 10)):
+            ticks = np.outer(10.0 ** np.arange(-6, 7), steps).ravel()
+            ticks = ticks[(ticks >= low) & (ticks <= high)]
+            if len(ticks) >= LEAST_TICKS:
+                break
         bar |= {"tickvals": np.log10(ticks), "ticktext": [f"{tick:g}" for tick in ticks]}
         low, high = np.log10([max(low, 1e-9), high])
     return {"colorscale": HEAT, "cmin": low, "cmax": high, "colorbar": bar}
