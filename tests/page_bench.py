@@ -122,7 +122,7 @@ def start_run(page: Any, duration: str = "60", rate: str = "500") -> None:
     page.get_by_label("rate_hz").fill(rate)
     page.get_by_role("button", name="Add to queue").click()
     page.get_by_text("waits in the queue").first.wait_for(timeout=ANSWER_TIMEOUT)
-    deadline, resume = time.monotonic() + 150, page.get_by_role("button", name="Resume")
+    deadline, resume = time.monotonic() + 150, page.get_by_role("button", name="Resume", exact=True)
     while not page.evaluate(_MOVES):
         assert time.monotonic() < deadline, page.inner_text("body")
         if resume.count():
@@ -143,5 +143,5 @@ def reset_fault(page: Any) -> None:
     while not idle.count():
         # It is refused while the run is still ending.
         assert time.monotonic() < deadline, page.inner_text("body")
-        page.get_by_role("button", name="reset fault").click()
+        page.get_by_role("button", name="reset fault", exact=True).click()
         page.wait_for_timeout(2000)

@@ -1,6 +1,6 @@
 """Take the pictures of the operator's page in docs/: `python docs/tables/page_pictures.py`. It needs Chromium.
 
-With a folder as argument, every tab is taken at both widths in both themes, too, to look at.
+With a folder as argument, every tab is taken at all widths in both themes, too, to look at.
 """
 
 import argparse
@@ -17,8 +17,8 @@ from playwright.sync_api import sync_playwright
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from page_bench import ANSWER_TIMEOUT, ROOT, PageBench, find_chromium, open_tab, start_run, take_control
 
-WIDE, TABLET = {"width": 1280, "height": 800}, {"width": 820, "height": 1180}
-TABS = ("Live", "Runs", "Control", "Identify and diagnose")
+WIDE, TABLET, TELEPHONE = ({"width": width, "height": height} for width, height in ((1280, 800), (820, 1180), (400, 850)))
+TABS = ("Guide", "Live", "Runs", "Control", "Identify and diagnose", "Dampers")
 LONGEST = 150_000
 """Bytes of a picture."""
 
@@ -49,17 +49,18 @@ def main() -> None:
 
 
 def work(page: Any) -> None:
-    """Identify a damper, record a run, test it in an emulated car, and take a picture of each."""
+    """Be guided, identify a damper, record a run, test it in an emulated car, and take a picture of each."""
+    be_guided(page)
     open_tab(page, "Identify and diagnose")
     field = page.get_by_label("recordings", exact=True)
     field.fill("3_")
     page.get_by_role("option").first.click()
     page.keyboard.press("Escape")
     page.get_by_role("button", name="Identify", exact=True).click()
-    page.get_by_text("1 identify bouc_wen: done").wait_for(timeout=200_000)
+    page.get_by_text("4 identify bouc_wen: done").wait_for(timeout=400_000)
     open_tab(page, "Live")
     page.get_by_label("predicted by").click()
-    page.get_by_role("option").last.click()
+    page.get_by_role("option", name="identify-").first.click()
     page.get_by_text("all who look see").wait_for(timeout=ANSWER_TIMEOUT)
     open_tab(page, "Runs")
     page.get_by_role("button", name="Preview").click()
@@ -83,6 +84,23 @@ def work(page: Any) -> None:
     take(page, "page_control.png")
 
 
+def be_guided(page: Any) -> None:
+    """Go all steps of the guide, which are three jobs."""
+    open_tab(page, "Guide")
+    field = page.get_by_label("recordings to explain")
+    for start in ("1_", "2_", "3_", "4_"):
+        field.fill(start)
+        page.get_by_role("option", name=start).first.click()
+    page.keyboard.press("Escape")
+    for step in ("Check", "Fit", "Diagnose", "Validate"):
+        page.get_by_role("button", name=f"Next: {step}").click(timeout=900_000)
+    page.get_by_text("predicts 1_multisine").wait_for(timeout=200_000)
+    page.set_viewport_size({**WIDE, "height": 1120})
+    settle(page, 8)
+    take(page, "page_guide.png")
+    page.set_viewport_size(WIDE)
+
+
 def settle(page: Any, seconds: float) -> None:
     """Let the curves move on, and messages go."""
     page.mouse.move(0, 400)
@@ -101,9 +119,9 @@ def take(page: Any, name: str | Path) -> None:
 
 
 def take_all(page: Any, folder: Path) -> None:
-    """Take every tab at both widths in both themes."""
+    """Take every tab at all widths in both themes."""
     folder.mkdir(parents=True, exist_ok=True)
-    for width in (WIDE, TABLET):
+    for width in (WIDE, TABLET, TELEPHONE):
         page.set_viewport_size(width)
         for theme in ("light", "dark"):
             page.emulate_media(color_scheme=theme)

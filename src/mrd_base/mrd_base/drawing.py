@@ -412,7 +412,7 @@ class _Drawing:
             axes.tick_params(axis=axis, labelleft=False, labelbottom=False)
         if angle := layout.get("tickangle"):
             for label in side.get_ticklabels():
-                label.set(rotation=-angle, ha="left" if angle > 0 else "right", rotation_mode="anchor")
+                label.set(rotation=-angle, ha="left" if angle > 0 else "right", va="center", rotation_mode="anchor")
 
     def _line_across(self, shape: dict[str, Any]) -> None:
         panel = self.panels.get((_reference(shape, "x"), _reference(shape, "y"))) or next(iter(self.panels.values()))

@@ -227,7 +227,7 @@ def check_data(paths: Sequence[str]) -> DataCheck:
 
 
 def hold_back(runs: Sequence[Run]) -> tuple[int | None, str]:
-    """Choose a run that is predicted at the end, and is not fitted: one within the others, neither the hardest nor the easiest.
+    """Choose a run that is predicted at the end, and is not fitted: of those within the others, the middle one.
 
     Returns
     -------

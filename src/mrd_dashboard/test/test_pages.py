@@ -112,6 +112,40 @@ def test_the_header_tells_the_run_and_its_time_left(visit, dashboard, patient) -
     visit(work)
 
 
+def test_the_header_tells_why_the_queue_waits_and_has_the_button_that_goes_on(visit, commands, dashboard, patient) -> None:
+    hear(dashboard, Mode.FAULT, "emergency stop on the topic")
+    dashboard.control.take("a", "Ann")
+    dashboard.queue.add("sweep", "name: sweep", 20.0)
+    dashboard.emergency_stop(Visitor("b", "Bob"))
+
+    async def work(user: User) -> None:
+        await user.should_see("queue paused after a stop: 1 waiting, next is sweep")
+        user.find(marker="go on").click()
+        await user.should_see("reset fault: done")
+        hear(dashboard)
+        await user.should_see("Resume queue", retries=30)
+        user.find(marker="go on").click()
+        await user.should_see("queue: 1 waiting, next is sweep", retries=30)
+        await user.should_not_see("Resume queue")
+
+    visit(work)
+    assert commands.asked == ["emergency stop", "reset fault"]
+    assert not dashboard.queue.paused
+
+
+def test_the_form_of_hybrid_tests_is_closed_while_there_is_no_controller(visit, dashboard) -> None:
+    async def work(user: User) -> None:
+        user.find("Control").click()
+        await user.should_see("No controller is up", retries=30)
+        form = next(iter(user.find(marker="test form").elements))
+        assert "inert" in form.props
+        dashboard.bench.hear_node("controller", NodeHealth(0, "ok"))
+        await user.should_not_see("No controller is up", retries=30)
+        assert "inert" not in form.props
+
+    visit(work)
+
+
 def test_a_position_before_homing_is_not_told(visit, dashboard) -> None:
     """The encoder counts from where it was switched on: beside the lamp, which shows the LVDT, one looked wrong."""
     hear(dashboard)
@@ -418,18 +452,18 @@ class Arguments:
         self.args = args
 
 
-def test_only_a_diagnosis_chooses_the_model_itself(visit, dashboard) -> None:
+def test_a_trend_does_not_choose_the_model_itself(visit, dashboard) -> None:
     dashboard.control.take("a", "Ann")
     form = {"runs": [], "held_out": [], "reference": [], "model": "auto", "seed": 0, "follow": None, "limit": None}
     form |= {"fit": "", "anyway": False}
-    assert request_of(dashboard, "diagnose", form).model == "auto"
+    assert [request_of(dashboard, kind, form).model for kind in ("diagnose", "identify")] == ["auto", "auto"]
 
     async def work(user: User) -> None:
         user.find("Identify and diagnose").click()
         (model,) = user.find(marker="model").elements
         model.value = "auto"
-        user.find(marker="identify").click()
-        await user.should_see("only a diagnosis can choose")
+        user.find(marker="trend").click()
+        await user.should_see("which a trend cannot choose")
         model.value = "bingham"
         user.find(marker="trend").click()
         await user.should_see("no parameter is chosen")

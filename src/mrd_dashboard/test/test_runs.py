@@ -340,7 +340,7 @@ def test_the_serial_number_of_a_run_goes_into_the_notes_of_its_recording(dashboa
 
 def test_a_set_that_tests_a_damper_ends_with_the_reports_of_the_tool(dashboard, commands, tmp_path, monkeypatch) -> None:
     """As `bench` writes them: characterisation and sheet, found by the serial number."""
-    names = ("1_multisine", "2_slow_stroke")
+    names = ("2_slow_stroke", "4_fast_sine")
     import_files([WORN / f"{name}.csv" for name in names], tmp_path / "imported")
     succeeds = iter((True, False, True))
 
@@ -359,6 +359,7 @@ def test_a_set_that_tests_a_damper_ends_with_the_reports_of_the_tool(dashboard, 
     assert not reports.exists()  # one of its runs has failed
     dashboard.queue.retry(dashboard.queue.runs[-1].number)
     asyncio.run(_work_off(dashboard))
+    assert reports.is_dir(), [(run.state, run.message) for run in dashboard.queue.runs]
     assert {"characterisation.json", "characterisation.html", "sheet.html"} <= {file.name for file in reports.iterdir()}
     assert dashboard.queue.runs[-1].message.endswith("The reports are under Dampers.")
     asyncio.run(dashboard.dampers.look(dashboard.compute))
