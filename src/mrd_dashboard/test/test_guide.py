@@ -87,7 +87,7 @@ def test_what_is_held_back_lies_within_the_others() -> None:
     place, _ = hold_back(runs)
     others = [np.ptp(run.position) for run in runs if run is not runs[place]]
     assert np.ptp(runs[place].position) < max(others)
-    beyond = [run for run in runs if run.name in ("2_slow_stroke", "3_current_steps", "4_fast_sine")]  # each in another way
+    beyond = [run for run in runs if run.name != "3_current_steps"]  # each in another way
     assert hold_back(beyond)[0] is None
     assert "goes beyond the others" in hold_back(beyond)[1]
     assert hold_back(runs[:2])[0] is None
@@ -215,16 +215,14 @@ def test_the_page_leads_by_one_sentence_and_one_button(visit, dashboard) -> None
     names = import_worn(dashboard)
 
     async def work(user: User) -> None:
-        (field,) = user.find(marker="guide runs").elements
+        (field,) = user.find(marker="guide-runs").elements
         field.value = names
-        user.find(marker="guide Check").click()
+        user.find(marker="next-Check").click()
         await user.should_see("press Take control first")
         assert dashboard.guide.outcomes == {}
         user.find("Take control").click()
-        user.find(marker="guide Check").click()
+        user.find(marker="next-Check").click()
         await user.should_see("finds nothing wrong in 4 recordings", retries=300)
-        (predicted,) = user.find(marker="guide predicted").elements
-        assert predicted.value == list(dashboard.guide.held_back)
         await user.should_see("It opens when Fit has passed.")
 
     visit(work)

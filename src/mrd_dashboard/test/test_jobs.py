@@ -14,8 +14,9 @@ import pytest
 from mrd_base import InputError
 from mrd_dashboard.apply import apply_report
 from mrd_dashboard.jobs import FIT_ANYWAY, LOOK_PERIOD, Job, JobRequest, Jobs
+from mrd_diagnosis.diagnose import choose_model
 from mrd_identification.fit_file import read_fit
-from mrd_runs import Run, read_run
+from mrd_runs import Run, read_run, read_runs
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
 from mrd_sim.simulate import write_csv
@@ -52,6 +53,14 @@ def test_a_fit_shows_its_progress_and_writes_what_the_tool_writes(tmp_path: Path
     assert e2[0] > 0
     assert job.report.is_file()
     assert read_fit(job.folder / "fit.json").model == "bingham"
+
+
+def test_a_fit_takes_the_model_that_predicts_best(tmp_path: Path, recorded: list[str]) -> None:
+    jobs = Jobs(tmp_path / "results")
+    jobs.start(JobRequest("identify", tuple(recorded), "auto", method=QUICK))
+    job = finish(jobs)
+    assert job.state == "done", job.message
+    assert read_fit(job.folder / "fit.json").model == choose_model(read_runs(recorded)).id
 
 
 def test_a_faulty_recording_is_not_fitted(tmp_path: Path, recorded: list[str]) -> None:

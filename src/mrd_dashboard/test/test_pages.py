@@ -120,11 +120,11 @@ def test_the_header_tells_why_the_queue_waits_and_has_the_button_that_goes_on(vi
 
     async def work(user: User) -> None:
         await user.should_see("queue paused after a stop: 1 waiting, next is sweep")
-        user.find(marker="go on").click()
+        user.find(marker="go-on").click()
         await user.should_see("reset fault: done")
         hear(dashboard)
         await user.should_see("Resume queue", retries=30)
-        user.find(marker="go on").click()
+        user.find(marker="go-on").click()
         await user.should_see("queue: 1 waiting, next is sweep", retries=30)
         await user.should_not_see("Resume queue")
 
@@ -137,7 +137,7 @@ def test_the_form_of_hybrid_tests_is_closed_while_there_is_no_controller(visit, 
     async def work(user: User) -> None:
         user.find("Control").click()
         await user.should_see("No controller is up", retries=30)
-        form = next(iter(user.find(marker="test form").elements))
+        form = next(iter(user.find(marker="test-form").elements))
         assert "inert" in form.props
         dashboard.bench.hear_node("controller", NodeHealth(0, "ok"))
         await user.should_not_see("No controller is up", retries=30)
@@ -375,6 +375,7 @@ def test_what_servo_and_daq_said_last_is_not_shown_as_news(visit, dashboard) -> 
 
 def test_a_prediction_is_drawn_by_who_holds_control(visit, dashboard, stored_fit) -> None:
     async def work(user: User) -> None:
+        user.find("Live").click()
         select = next(iter(user.find(marker="prediction").elements))
         for _ in range(100):
             if str(stored_fit) in select.options:

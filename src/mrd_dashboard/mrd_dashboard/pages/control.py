@@ -46,7 +46,7 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
     missing = ui.label("No controller is up: hybrid tests need a bench that was started with --control.").classes(
         "text-sm text-warning"
     )
-    closable = ui.column().classes("w-full gap-2").mark("test form")
+    closable = ui.column().classes("w-full gap-2").mark("test-form")
     with closable:
         entries = ui.column().classes("w-full gap-1")
         with ui.row():

@@ -71,18 +71,18 @@ def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) ->
     with ui.column().classes("w-full max-w-4xl mx-auto gap-3"):
         with _step(cards, "data", "Check", check):
             runs = RecordingsField("recordings to explain").props("dense use-chips").classes("w-full")
-            runs.bind_value(form, "runs").mark("guide runs")
+            runs.bind_value(form, "runs").mark("guide-runs")
             _new_data(dashboard, who, form)
         with _step(cards, "check", "Fit", lambda: start("fit")):
             models = {BEST_MODEL: "the one that predicts best", **{name: name for name in MODELS}}
             ui.select(models, label="damper model").props("dense").classes("w-64").bind_value(form, "model").mark(
-                "guide model"
+                "guide-model"
             )
         with _step(cards, "fit", "Diagnose", lambda: start("diagnose")):
             pass
         with _step(cards, "diagnose", "Validate", lambda: start("validate")):
             predicted = RecordingsField("recordings to predict, which were not fitted").props("dense use-chips")
-            predicted.classes("w-full").bind_value(form, "predicted").mark("guide predicted")
+            predicted.classes("w-full").bind_value(form, "predicted").mark("guide-predicted")
         with _step(cards, "validate"):
             pass
 
@@ -114,20 +114,20 @@ class _StepCard:
     def __init__(self, step: Step, following: str, go: Callable[[], Awaitable[None]] | None) -> None:
         title, doc = _TITLES[step]
         with ui.card().classes("w-full p-3"), ui.row().classes("w-full items-start no-wrap gap-3"):
-            self._icon = ui.icon("lock").classes("text-2xl shrink-0").mark(f"state {step}")
+            self._icon = ui.icon("lock").classes("text-2xl shrink-0").mark(f"state-{step}")
             with ui.column().classes("grow min-w-0 gap-1"):
                 ui.label(f"{STEPS.index(step) + 1}  {title}").classes("text-base font-medium")
                 ui.label(doc).classes("text-sm opacity-80")
-                self._sentence = ui.label().classes("text-sm break-words").mark(f"found {step}")
+                self._sentence = ui.label().classes("text-sm break-words").mark(f"found-{step}")
                 with ui.row().classes("w-full items-center no-wrap gap-3") as self._progress:
                     self._bar = ui.linear_progress(0.0, show_value=False).props("rounded").classes("grow")
                     self.cancel = ui.button("Cancel").props("outline dense no-caps padding='2px 10px'")
                 self.body = ui.column().classes("w-full gap-2")
                 with ui.row().classes("items-center gap-2"):
                     self.next = (
-                        ui.button(f"Next: {following}", on_click=go).props("no-caps unelevated").mark(f"guide {following}")
+                        ui.button(f"Next: {following}", on_click=go).props("no-caps unelevated").mark(f"next-{following}")
                     )
-                    self.report = ui.button("Report").props("outline no-caps target=_blank").mark(f"report {step}")
+                    self.report = ui.button("Report").props("outline no-caps target=_blank").mark(f"report-{step}")
         self._following = following
 
     def show(self, dashboard: Dashboard, step: Step, jobs: Mapping[str, Job]) -> None:
@@ -196,7 +196,7 @@ def _new_data(dashboard: Dashboard, who: Visitor, form: dict[str, Any]) -> None:
     expansion = ui.expansion("No recordings yet? Record or import some.").classes("w-full").props("dense")
     with expansion, ui.column().classes("w-full gap-2"):
         if STANDARD_SET in sets:
-            button = ui.button("Record the standard set", on_click=record).props("outline no-caps").mark("record set")
+            button = ui.button("Record the standard set", on_click=record).props("outline no-caps").mark("record-set")
             button.tooltip("Adds its runs to the queue; the rod moves once they are recorded.")
         upload = (
             ui.upload(multiple=True, auto_upload=True, max_file_size=LARGEST_FILE, on_multi_upload=bring)

@@ -111,11 +111,11 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
             "mrd-stop font-bold shrink-0 w-40 max-md:w-24"
         ).mark("stop").tooltip("Stops rod and coil at once; latched until reset fault. It needs no control.")
     with header, ui.row().classes("w-full items-center gap-4 max-md:gap-2 no-wrap text-sm min-h-7"):
-        queue = ui.label().classes("min-w-0 truncate").mark("queue state")
+        queue = ui.label().classes("min-w-0 truncate").mark("queue-state")
         release = ui.button("Resume queue", on_click=lambda: go_on()).props(
             "dense no-caps unelevated color=warning text-color=black padding='0 10px'"
         )
-        release.classes("shrink-0").mark("go on")
+        release.classes("shrink-0").mark("go-on")
         ui.space()
         holder = ui.label().classes("shrink-0 max-w-[45%] truncate").mark("holder")
     with header:  # on a telephone, where there is no room beside the stop button
