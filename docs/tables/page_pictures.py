@@ -95,7 +95,7 @@ def be_guided(page: Any) -> None:
     for step in ("Check", "Fit", "Diagnose", "Validate"):
         page.get_by_role("button", name=f"Next: {step}").click(timeout=900_000)
     page.get_by_text("predicts 1_multisine").wait_for(timeout=200_000)
-    page.set_viewport_size({**WIDE, "height": 1120})
+    page.set_viewport_size({**WIDE, "height": 1190})
     settle(page, 8)
     take(page, "page_guide.png")
     page.set_viewport_size(WIDE)

@@ -1004,6 +1004,23 @@ def test_the_chart_of_candidates_says_what_its_numbers_are():
         assert not figures.candidate_chart(diagnosed(verdict)).layout.annotations
 
 
+@given(low=st.floats(1e-5, 1e3), ratio=st.floats(4.0, 1e5))
+def test_the_colour_bar_of_a_spectrum_tells_its_scale(low, ratio):
+    axis = figures._colour_axis("N/√Hz", low, low * ratio)
+    ticks = np.array(axis["colorbar"]["tickvals"])
+    assert figures.LEAST_TICKS <= len(ticks) <= 9
+    assert np.all((ticks >= axis["cmin"] - 1e-9) & (ticks <= axis["cmax"] + 1e-9))
+
+
+def test_sentences_of_tables_are_marked_for_telephones(tmp_path):
+    """They stand beneath the numbers of their row there; a column of them was cut off."""
+    page = write_gap_report(diagnosed("explained"), tmp_path).read_text(encoding="utf-8")
+    for heading in ("meaning", "could be present up to this size", "finding"):
+        assert f"<th>{heading}</th>" not in page
+    assert '<th class="prose">meaning</th>' in page
+    assert page.count('<td class="prose">') > 10
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open the page with")
 @pytest.mark.parametrize("verdict", [pytest.param(v, marks=[pytest.mark.slow] * (v != "explained")) for v in VERDICTS])
 def test_the_page_draws_in_a_browser_without_errors(verdict, tmp_path):
