@@ -9,9 +9,10 @@ from mrd_dashboard.guard import STOP
 HEAD = f"""
 <style>
   #mrd-said {{
-    position: fixed; top: 72px; right: 16px; z-index: 9000; padding: 8px 16px; border-radius: 4px;
+    position: fixed; top: 96px; right: 16px; z-index: 9000; padding: 8px 16px; border-radius: 4px;
     color: white; font-weight: 500; pointer-events: none;
   }}
+  @media (max-width: 767px) {{ #mrd-said {{ top: 150px; }} }}
 </style>
 <script>
   function mrdSay(text, colour) {{

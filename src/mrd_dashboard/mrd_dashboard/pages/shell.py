@@ -40,6 +40,7 @@ _STYLE = """
 <style>
   .q-header { z-index: 8000 !important; }
   .q-dialog__inner { top: 100px !important; }
+  @media (max-width: 767px) { .q-dialog__inner { top: 150px !important; } }
   .body--dark .text-negative { --q-negative: #ff6b6b; }
 </style>
 """
@@ -111,7 +112,7 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
             "mrd-stop font-bold shrink-0 w-40 max-md:w-24"
         ).mark("stop").tooltip("Stops rod and coil at once; latched until reset fault. It needs no control.")
     with header, ui.row().classes("w-full items-center gap-4 max-md:gap-2 no-wrap text-sm min-h-7"):
-        queue = ui.label().classes("min-w-0 truncate").mark("queue-state")
+        queue = ui.label().classes("min-w-0 md:truncate max-md:leading-tight").mark("queue-state")
         release = ui.button("Resume queue", on_click=lambda: go_on()).props(
             "dense no-caps unelevated color=warning text-color=black padding='0 10px'"
         )
