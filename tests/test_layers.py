@@ -78,7 +78,7 @@ EXECUTABLES = {
     "mrd_identification": {"identifier", "identify", "compare", "export", "plot"},
     "mrd_diagnosis": {"diagnoser", "diagnose", "apply", "trend", "validate"},
     "mrd_control": {"controller", "evaluate", "hybrid_test", "review", "delay"},
-    "mrd_trials": {"learn", "make", "run", "score", "withhold"},
+    "mrd_trials": {"learn", "make", "run", "score", "sequential", "withhold"},
     "mrd_dashboard": {"page", "access"},
     "mrd_cli": {"mrd"},
 }

@@ -73,6 +73,7 @@ def bench_processes(
     seed: int = 0,
     control_cycle: float | None = None,
     page: bool = False,
+    diagnoser: bool = False,
 ) -> list[ProcessSpec]:
     """Return the processes of a bench.
 
@@ -93,6 +94,8 @@ def bench_processes(
         controller.
     page : bool
         Whether the operator's page is served.
+    diagnoser : bool
+        Whether the bench has a diagnoser, for a diagnosis that records what it needs.
     """
     # On a simulated bench, all nodes wait for each other.
     common: dict[str, Any] = {} if plant is None else {"clock": str(clock_of(port))}
@@ -120,6 +123,8 @@ def bench_processes(
         ProcessSpec("mrd_trajectory", "generator", common, (bench,)),
         *controllers,
         ProcessSpec("mrd_bench_driver", "supervisor", supervisor, (bench,)),
+        # Without the diagnoser there is no diagnosis on the bench; the page does without it.
+        *([ProcessSpec("mrd_diagnosis", "diagnoser", guest=not diagnoser)] if diagnoser or page else []),
         *([_page(bench, plant)] if page else []),
     ]
 

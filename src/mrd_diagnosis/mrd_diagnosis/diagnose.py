@@ -12,6 +12,7 @@ from mrd_base.progress import ignore
 from mrd_diagnosis.change import explain_change
 from mrd_diagnosis.closure.closure import Closure, compute_closure
 from mrd_diagnosis.decision.explanation import advise_next, list_alternative_models, list_alternatives, list_candidates
+from mrd_diagnosis.decision.honesty import SEEN
 from mrd_diagnosis.decision.judgement import judge, reject_others
 from mrd_diagnosis.diagnosis import Candidate, CorrectedSimulator, Diagnosis, Finding, Gap, HeldOutBy, Region, Verdict
 from mrd_diagnosis.fitting.base_fit import fit_base
@@ -291,9 +292,10 @@ def _diagnose_physics(
     conclusive = verdict == "explained" or (verdict == "ambiguous" and bool(judgement.causes))
     is_open = verdict != "no_gap" and not conclusive
     models = list_alternative_models(comparison, explained.other_models, rng) if is_open else ()
-    if conclusive:
+    if verdict != "no_gap":
         progress("designing the next experiment", 0.96)
-    advice = advise_next(comparison, chances, bench) if conclusive else None
+    rejected = {entry.effect: entry.rule in SEEN for entry in judgement.rejected}
+    advice = None if verdict == "no_gap" else advise_next(explained.explanation, rejected, explained.singles, rng, bench)
     progress("done", 1.0)
     diagnosis = Diagnosis(
         model=model,

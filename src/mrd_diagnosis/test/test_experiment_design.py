@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mrd_diagnosis.decision import explanation as decided
 from mrd_diagnosis.decision.explanation import advise_next
 from mrd_diagnosis.diagnosis import Advice
 from mrd_diagnosis.experiment_design import advice as advice_module
@@ -96,6 +97,12 @@ def alike():
     """Refits to runs on which a delay and a lag look the same."""
     other, truth, plans = DAMPERS["delay"]
     return fitted(plans, truth, ["channel_delay", other])
+
+
+def explanation_of(comparison: ModelComparison, chances: dict[str, float]) -> decided.Explanation:
+    """Return an ambiguous explanation by the one effect of a comparison."""
+    (effect,) = comparison.effects
+    return decided.Explanation("ambiguous", comparison, {effect: chances}, {effect: 0.001})
 
 
 def plan_of(advice: Advice):
@@ -192,7 +199,7 @@ def test_unlikely_explanations_need_no_experiment():
         weighting, refits[""], (refits["force_sensor_lag"],), ("force_sensor_lag",), {"force_sensor_lag": refits}
     )
     chances = {"force_sensor_lag": 0.6, "channel_delay": 0.39, "gas_spring": 0.005, "moving_mass": 0.005, "": 0.0}
-    advice = advise_next(comparison, {"force_sensor_lag": chances})
+    advice = advise_next(explanation_of(comparison, chances), {}, (), np.random.default_rng(0))
     assert advice.experiment == ""
     assert advice.between == ("force_sensor_lag", "channel_delay")
 
@@ -227,8 +234,8 @@ def test_advice_keeps_within_the_limits_of_the_users_bench(alike, experiments, m
     comparison = ModelComparison(
         weighting, refits["force_sensor_lag"], (refits["channel_delay"],), ("channel_delay",), alternatives
     )
-    chances = {"channel_delay": {"channel_delay": 0.5, "force_sensor_lag": 0.5}}
-    advice = advise_next(comparison, chances, weak)
+    chances = {"channel_delay": 0.5, "force_sensor_lag": 0.5}
+    advice = advise_next(explanation_of(comparison, chances), {}, (), np.random.default_rng(0), weak)
     assert benches == [weak]
     assert advice.experiment == ""
     assert "No experiment that can be advised is safe: each would exceed 100 N" in advice.text

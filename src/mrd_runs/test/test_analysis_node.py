@@ -11,10 +11,13 @@ from action_msgs.msg import GoalStatus
 
 from mrd_base import InputError
 from mrd_base.nodes.bench_node import RECORDED
+from mrd_base.nodes.graph import Action
 from mrd_interfaces.action import Identify
 from mrd_interfaces.msg import BenchSamples
 from mrd_runs.definitions import SAMPLES_TYPE, typestore
-from mrd_runs.nodes.analysis_node import AnalysisNode
+from mrd_runs.nodes.analysis_node import AnalysisNode, Offer
+
+MEAN_FORCE = Action("mean_force", Identify, "mean_force", "approach the mean force of runs")
 
 LONG = 1_000_000
 """Steps of an analysis that does not end by itself during a test."""
@@ -24,7 +27,7 @@ class MeanForce(AnalysisNode):
     """Halves the distance of its estimate to the mean force of each run, as often as the goal says."""
 
     def __init__(self) -> None:
-        super().__init__("mean_force", Identify, "mean_force")
+        super().__init__("mean_force", Offer(MEAN_FORCE, lambda goal: None, self.work))
 
     def work(self, request: Identify.Goal, publish: Callable[[Any], None], result: Identify.Result) -> None:
         result.report = "begun"

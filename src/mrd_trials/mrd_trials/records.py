@@ -236,12 +236,64 @@ class Evaluation:
     random_resolves: bool | None = None
 
 
-R = TypeVar("R", GroundTruth, Submission, Evaluation)
+@dataclass(frozen=True)
+class PolicyAnswer:
+    """What a diagnosis says after recordings that were chosen in some way.
 
-_FORMATS: Mapping[type, int] = {Submission: 3, Evaluation: 2}
+    Attributes
+    ----------
+    policy : {"first", "advised", "random", "fixed"}
+        Which recordings: the first ones alone, or with those that the diagnosis advised, random ones, or a fixed set.
+    verdict : str
+    effects : tuple of str
+        Effects that are named by themselves.
+    classes : tuple of tuple of str
+        What is named: each effect, or each class of effects.
+    recordings : int
+    duration : float
+        Bench time in s of the recordings.
+    ending : str
+        Why a sequential diagnosis ended.
+    """
+
+    policy: str
+    verdict: str
+    effects: tuple[str, ...]
+    classes: tuple[tuple[str, ...], ...]
+    recordings: int
+    duration: float
+    ending: str = ""
+
+
+@dataclass(frozen=True)
+class SequentialOutcome:
+    """Answers on one plant; those beside the first one only where this left the cause open.
+
+    Attributes
+    ----------
+    plant : str
+    causes : tuple of str
+    signal_to_floor : float
+    answers : tuple of PolicyAnswer
+    """
+
+    plant: str
+    causes: tuple[str, ...]
+    signal_to_floor: float
+    answers: tuple[PolicyAnswer, ...]
+
+
+R = TypeVar("R", GroundTruth, Submission, Evaluation, SequentialOutcome)
+
+_FORMATS: Mapping[type, int] = {Submission: 3, Evaluation: 2, SequentialOutcome: 1}
 """Version of the keys of a line. An answer has none: a commitment is the hash of its line."""
 
-_NAMES: Mapping[type, str] = {GroundTruth: "answer", Submission: "submission", Evaluation: "evaluation"}
+_NAMES: Mapping[type, str] = {
+    GroundTruth: "answer",
+    Submission: "submission",
+    Evaluation: "evaluation",
+    SequentialOutcome: "outcome",
+}
 
 _ITEMS: Mapping[tuple[type, str], Any] = {
     (Submission, "causes"): Explanation,
@@ -249,11 +301,12 @@ _ITEMS: Mapping[tuple[type, str], Any] = {
     (Submission, "where"): GapBin,
     (Submission, "weighed"): WeighedEffect,
     (Evaluation, "true_map"): GapBin,
+    (SequentialOutcome, "answers"): PolicyAnswer,
 }
 """Class of the items of a field."""
 
 
-def to_json(record: GroundTruth | Submission | Evaluation) -> str:
+def to_json(record: GroundTruth | Submission | Evaluation | SequentialOutcome) -> str:
     """Return a record as one line; equal records give equal lines."""
     version = {"format": _FORMATS[type(record)]} if type(record) in _FORMATS else {}
     return json.dumps(version | asdict(record), sort_keys=True, separators=(",", ":"))
@@ -281,7 +334,7 @@ def from_json(kind: type[R], line: str, place: str) -> R:
         raise InputError(f"{text} ({error}), expected a line that this version of mrd_trials has written") from None
 
 
-def append_record(record: GroundTruth | Submission | Evaluation, path: Path) -> None:
+def append_record(record: GroundTruth | Submission | Evaluation | SequentialOutcome, path: Path) -> None:
     """Append a record to a file; a last line that an interruption has cut off is removed."""
     if path.exists() and not (content := path.read_bytes()).endswith(b"\n"):
         os.truncate(path, content.rfind(b"\n") + 1)

@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
-from mrd_interfaces.action import Diagnose, Identify, RunExperiment, RunSet
+from mrd_interfaces.action import Diagnose, DiagnoseOnBench, Identify, RunExperiment, RunSet
 from mrd_interfaces.msg import (
     AnalogInput,
     AnalogOutput,
@@ -363,6 +363,12 @@ RUN_CONTROL = Action("run_control", RunExperiment, "supervisor", "home, tare, re
 RUN_SET = Action("run_set", RunSet, "supervisor", "record experiments one after the other")
 IDENTIFY = Action("identify", Identify, "identifier", "fit a damper model, as the tool identify does")
 DIAGNOSE = Action("diagnose", Diagnose, "diagnoser", "explain the gap between simulator and runs, as the tool diagnose does")
+DIAGNOSE_ON_BENCH = Action(
+    "diagnose_on_bench",
+    DiagnoseOnBench,
+    "diagnoser",
+    "record and diagnose in turn until the cause is known, as the tool bench with its option diagnose does",
+)
 
 TOPICS = tuple(value for value in list(globals().values()) if isinstance(value, Topic))
 SERVICES = tuple(value for value in list(globals().values()) if isinstance(value, Service))

@@ -17,7 +17,9 @@ from mrd_base.domain import claim_domain, present_domain
 from mrd_base.nodes.graph import NODES
 from mrd_base.progress import shown_progress
 from mrd_bench_driver.nodes.bench_client import BenchClient, require_free_namespace
+from mrd_bench_driver.nodes.bench_diagnosis import diagnose_on_bench, recorded_in
 from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes, clock_of
+from mrd_interfaces.action import DiagnoseOnBench
 from mrd_runs import read_run, read_runs
 from mrd_trajectory.damper_tests import DamperTest
 from mrd_trajectory.damper_tests.warm_up import WarmUp
@@ -177,12 +179,38 @@ def main() -> None:
         metavar="MS",
         help="start a controller, too, for hybrid tests; samples then come in blocks of MS milliseconds (default: 4)",
     )
+    parser.add_argument(
+        "--diagnose",
+        nargs="?",
+        const="auto",
+        metavar="MODEL",
+        help="record and diagnose in turn until the cause of the gap to a damper model is known (default: the model that "
+        "predicts the recordings best); put this option last, or name a model",
+    )
+    parser.add_argument(
+        "--budget", type=float, metavar="S", help="bench time in s that the recordings of --diagnose may take (default: 180)"
+    )
+    parser.add_argument(
+        "--parameters", type=Path, metavar="FIT.json", help="parameters of the simulator as it is, for --diagnose"
+    )
+    parser.add_argument(
+        "--add",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="RUN",
+        help="recordings of the same damper, made by hand, that --diagnose takes as well",
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
     arguments = parser.parse_args()
     if arguments.bench is None:
         parser.error("give --bench, or set MRD_BENCH by `. ./env.sh`")
     if arguments.resume and arguments.output is None:
         parser.error("--resume needs --output, the folder of the set that is to be completed")
+    if arguments.diagnose is not None and (arguments.experiments or arguments.serial or arguments.reference):
+        parser.error("--diagnose chooses its experiments itself; leave out experiments, --serial and --reference")
+    if arguments.diagnose is None and (arguments.budget is not None or arguments.parameters or arguments.add):
+        parser.error("--budget, --parameters and --add are for a diagnosis; add --diagnose")
     if arguments.page and arguments.simulated and arguments.pace is None:
         arguments.pace = 1.0  # people watch
     if arguments.pace is not None and not arguments.simulated:
@@ -200,7 +228,8 @@ def main() -> None:
 
 def _work(arguments: argparse.Namespace) -> None:
     session = _prepare(arguments)
-    if arguments.resume and not session.experiments:
+    diagnosis = _diagnosis(arguments, session)
+    if arguments.resume and not session.experiments and not diagnosis:
         print(f"{session.output}: nothing is missing")
         _report(session)
         return
@@ -213,6 +242,7 @@ def _work(arguments: argparse.Namespace) -> None:
         seed=arguments.seed,
         control_cycle=None if arguments.control is None else 1e-3 * arguments.control,
         page=arguments.page,
+        diagnoser=diagnosis is not None,
     )
     namespace = "/" + arguments.namespace.strip("/")
     if arguments.simulated and "ROS_DOMAIN_ID" not in os.environ:
@@ -221,7 +251,7 @@ def _work(arguments: argparse.Namespace) -> None:
     else:
         require_free_namespace(namespace)
     signals = SignalCounter()
-    if not session.experiments:
+    if not session.experiments and not diagnosis:
         print(f"the bench starts; logs: {session.logs}", flush=True)
     try:
         with BenchProcesses(specs, session.logs, namespace=namespace) as processes:
@@ -233,6 +263,9 @@ def _work(arguments: argparse.Namespace) -> None:
             clock = clock_of(port) if arguments.simulated else None
             with BenchClient(processes.namespace, watch, clock) as client:
                 client.wait_until_up(set(processes.specs))
+                if diagnosis:
+                    diagnose_on_bench(client, diagnosis)
+                    return
                 if not session.experiments:
                     print(
                         f"the bench is up in namespace {processes.namespace} of ROS domain "
@@ -242,7 +275,7 @@ def _work(arguments: argparse.Namespace) -> None:
                     client.stay_up(page=arguments.page)
                 result, recordings, ending = _run(client, session, arguments.seed)
     except (ProcessDiedError, KeyboardInterrupt) as error:
-        for bag in filter(Path.exists, session.bags):
+        for bag in filter(Path.exists, recorded_in(session.output) if diagnosis else session.bags):
             print(f"recorded until then: {bag}", file=sys.stderr)
         if isinstance(error, KeyboardInterrupt):
             raise
@@ -256,6 +289,31 @@ def _work(arguments: argparse.Namespace) -> None:
     if ending:
         print(f"the set ends here: {ending}")
     _report(session)
+
+
+def _diagnosis(arguments: argparse.Namespace, session: Session) -> DiagnoseOnBench.Goal | None:
+    """Return the diagnosis that is asked for, None without one.
+
+    Raises
+    ------
+    InputError
+        For an output folder that holds an earlier one, unless it is to be resumed.
+    """
+    if arguments.diagnose is None:
+        return None
+    if not arguments.resume and recorded_in(session.output):
+        raise InputError(
+            f"{session.output}: holds a diagnosis already; go on with it by --resume, or choose another --output"
+        )
+    return DiagnoseOnBench.Goal(
+        model=arguments.diagnose,
+        parameters=str(arguments.parameters.resolve()) if arguments.parameters else "",
+        bench=str(arguments.bench.resolve()),
+        budget=float(arguments.budget or 0.0),
+        seed=arguments.seed,
+        folder=str(session.output),
+        runs=[str(path.resolve()) for path in arguments.add],
+    )
 
 
 def _report(session: Session) -> None:
@@ -302,7 +360,7 @@ def _prepare(arguments: argparse.Namespace) -> Session:
     paths: list[Path] = arguments.experiments
     experiments, tests = _read_experiments(paths, read_settings(arguments.bench))
     is_set = len(paths) > 1 or any(path.is_dir() for path in paths) or bool(tests)
-    name = next((experiment.name for experiment in experiments), "bench")
+    name = next((experiment.name for experiment in experiments), "bench" if arguments.diagnose is None else "diagnosis")
     if is_set:
         first = paths[0].resolve()
         name = first.name if first.is_dir() else first.stem if len(paths) == 1 else first.parent.name
@@ -313,7 +371,7 @@ def _prepare(arguments: argparse.Namespace) -> Session:
             raise InputError(f"{plant}: no such file; give the simulated plant's parameters by --plant")
     output: Path = arguments.output or Path("runs") / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
     session = Session(name, experiments, is_set, plant, output.resolve(), tests, *_judged_by(arguments, bool(tests)))
-    if arguments.resume:
+    if arguments.resume and arguments.diagnose is None:
         return replace(session, experiments=_missing(session))
     for bag in session.bags:
         if bag.exists():

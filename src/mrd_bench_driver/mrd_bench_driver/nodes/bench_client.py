@@ -19,6 +19,7 @@ from mrd_base import BenchClock, InputError
 from mrd_base.barrier_clock import BarrierClock
 from mrd_base.domain import claim_name, present_domain
 from mrd_base.nodes.graph import (
+    DIAGNOSE_ON_BENCH,
     DIAGNOSTICS,
     EMERGENCY_STOP,
     NODES,
@@ -30,7 +31,7 @@ from mrd_base.nodes.graph import (
     Action,
 )
 from mrd_bench_driver.processes import ProcessDiedError
-from mrd_interfaces.action import RunExperiment, RunSet
+from mrd_interfaces.action import DiagnoseOnBench, RunExperiment, RunSet
 
 # Wall time in s for all nodes to come up; the first start after an installation compiles for some 20 s, or longer on a busy
 # machine. Nobody waits so long for a process that has died: the watch of the client sees it.
@@ -122,6 +123,7 @@ class BenchClient:
         self._run_experiment = RUN_EXPERIMENT.client(self.node)
         self._run_control = RUN_CONTROL.client(self.node)
         self._run_set = RUN_SET.client(self.node)
+        self._diagnose_on_bench = DIAGNOSE_ON_BENCH.client(self.node)
         self._emergency_stop = EMERGENCY_STOP.publisher(self.node)
         self._nodes_up: set[str] = set()
         self._page_address = ""
@@ -154,6 +156,7 @@ class BenchClient:
         self._run_experiment.destroy()
         self._run_control.destroy()
         self._run_set.destroy()
+        self._diagnose_on_bench.destroy()
         self._executor.shutdown()
         self.node.destroy_node()
         self._context.try_shutdown()
@@ -203,6 +206,12 @@ class BenchClient:
             self._held = False
             self.time.release()
 
+    def _hold_time(self) -> None:
+        """Let the time of a simulated bench, at whose page nobody looks, stand still."""
+        if isinstance(self.time, BarrierClock) and not self._held and not self._page_address:
+            self._held = True
+            self.time.hold()
+
     def stay_up(self, *, page: bool = False) -> None:
         """Let others use the bench until ``watch`` raises an exception; when a node has died, stop everything at once.
 
@@ -249,9 +258,21 @@ class BenchClient:
         goal = RunSet.Goal(experiments=experiments, folder=str(folder), seed=seed)
         return self._run(RUN_SET, self._run_set, goal, feedback)
 
+    def diagnose_on_bench(self, goal: DiagnoseOnBench.Goal, feedback: Feedback = ignore_feedback) -> Any:
+        """Let the node `diagnoser` record and diagnose in turn; otherwise as `run_experiment`.
+
+        While nothing is recorded, the time of a simulated bench stands still: the processor is free for the diagnosis.
+        """
+        if not self.spin(self._diagnose_on_bench.server_is_ready, START_TIMEOUT):
+            raise InputError(f"the node diagnoser did not come up within {START_TIMEOUT:g} s; look at its log")
+        return self._run(DIAGNOSE_ON_BENCH, self._diagnose_on_bench, goal, feedback)
+
     def _run(self, action: Action, client: ActionClient, goal: Any, feedback: Feedback) -> Any:
         def on_feedback(message: Any) -> None:
-            self.let_time_pass()  # the supervisor has begun
+            if getattr(message.feedback, "moves", True):
+                self.let_time_pass()  # the supervisor has begun
+            else:
+                self._hold_time()
             feedback(message.feedback)
 
         self._refusals.clear()

@@ -30,7 +30,7 @@ from mrd_diagnosis.fitting.null_distribution import NullGains
 from mrd_diagnosis.fitting.refit import Refit
 from mrd_diagnosis.fitting.statistics import effect_parameters, probabilities
 from mrd_diagnosis.search.effect_search import EffectFit, detection_threshold, tolerated_excess
-from mrd_diagnosis.search.model_comparison import NO_EFFECT, ModelComparison
+from mrd_diagnosis.search.model_comparison import NO_EFFECT, ModelComparison, refit_in_its_place, refit_without
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.wording.effect_names import parameters_of_effect
 from mrd_identification.parallel import in_threads
@@ -289,25 +289,74 @@ def list_alternative_models(
 
 
 def advise_next(
-    comparison: ModelComparison, chances: Probabilities, bench: GeneratorSettings | None = None
+    explanation: Explanation,
+    rejected: Mapping[str, bool],
+    singles: Sequence[EffectFit],
+    rng: np.random.Generator,
+    bench: GeneratorSettings | None = None,
 ) -> Advice | None:
-    """Advise what to record to tell the least certain cause from its alternatives; None where all causes are certain.
+    """Advise what to record to tell explanations apart that are open.
 
-    No advised experiment exceeds the limits of ``bench`` (default: the shipped bench).
+    These are the least certain effect and the alternatives to it, or, where no effect was chosen, the ``singles`` that
+    predict best. No advised experiment exceeds the limits of ``bench`` (default: the shipped bench).
+
+    Parameters
+    ----------
+    explanation : Explanation
+        Before the honesty rules.
+    rejected : mapping
+        For each effect that the honesty rules rejected, whether it may be there all the same, seen but not determined.
+    singles : sequence of EffectFit
+        Each effect by itself.
+    rng : numpy Generator
+    bench : GeneratorSettings, optional
+
+    Returns
+    -------
+    Advice or None
+        None where all effects are certain.
     """
-    uncertain = [effect for effect in comparison.effects if chances[effect][effect] < THRESHOLDS.named_probability]
-    if not uncertain:
+    comparison, chances = explanation.comparison, explanation.probabilities
+    asked = [effect for effect in comparison.effects if rejected.get(effect, True)]
+    uncertain = [e for e in asked if e in rejected or chances[e][e] < THRESHOLDS.named_probability]
+    if uncertain:
+        effect = min(uncertain, key=lambda name: chances[name][name])
+        known, likely = comparison.alternatives[effect], dict(chances[effect])
+        without = known.get(NO_EFFECT) or refit_without(comparison.weighting, comparison.best, effect)
+        names = _open_explanations(likely)
+        if effect in rejected:
+            # Its size may be the one at which it is absent.
+            names, likely[NO_EFFECT] = [*names, NO_EFFECT], max(likely.values())
+    elif asked or not singles:
         return None
-    effect = min(uncertain, key=lambda name: chances[name][name])
-    ranked = sorted((name for name in chances[effect] if name), key=lambda name: -chances[effect][name])
-    ranked = ranked[:MOST_EXPLANATIONS_TO_SEPARATE]
-    # An experiment that rules out what is unlikely anyway leaves the question open.
-    names = [name for name in ranked if name in ranked[:2] or chances[effect][name] >= THRESHOLDS.listed_probability]
-    if len(names) < 2:
-        names.append(NO_EFFECT)
-    alternatives = comparison.alternatives[effect]
-    refits = {name: alternatives[name] for name in names}
-    return advise(refits, comparison.weighting, without=alternatives[NO_EFFECT], bench=bench)
+    else:
+        ranked = sorted(singles, key=lambda fit: fit.refit.held_out_cost)[:MOST_EXPLANATIONS_TO_SEPARATE]
+        without, known = comparison.base, {fit.effects[0]: fit.refit for fit in ranked}
+        shares = probabilities([ranked[0].refit, without, *(fit.refit for fit in ranked[1:])], rng)
+        likely = dict(zip([ranked[0].effects[0], NO_EFFECT, *(fit.effects[0] for fit in ranked[1:])], shares, strict=True))
+        names = _open_explanations(likely)
+    missing = [name for name in names if name in EFFECTS and name not in known]
+    refits = {**known, NO_EFFECT: without}
+    if missing:
+        refits |= refit_in_its_place(comparison.weighting, without, missing)
+    names = [name for name in dict.fromkeys(names) if name in refits]
+    return advise(
+        {name: refits[name] for name in names},
+        comparison.weighting,
+        chances={name: float(likely.get(name, 0.0)) for name in names},
+        without=without,
+        bench=bench,
+    )
+
+
+def _open_explanations(chances: Mapping[str, float]) -> list[str]:
+    """Return the names of the explanations to separate, by their probabilities; at least one beside the likeliest.
+
+    An experiment that rules out what is unlikely anyway leaves the question open.
+    """
+    ranked = sorted((name for name in chances if name), key=lambda name: -chances[name])[:MOST_EXPLANATIONS_TO_SEPARATE]
+    names = [name for name in ranked if name in ranked[:2] or chances[name] >= THRESHOLDS.listed_probability]
+    return names if len(names) > 1 else [*names, NO_EFFECT]
 
 
 def _force_variance(comparison: ModelComparison) -> float:

@@ -2,7 +2,8 @@
 
 Each experiment of a library is judged for each pair of explanations: how far is the force that one explanation predicts from
 anything that the other one can predict after it is fitted to all recorded runs and to this prediction? This is T-optimal
-design (Hunter & Reiner 1965; Atkinson & Fedorov 1975).
+design (Hunter & Reiner 1965; Atkinson & Fedorov 1975). The experiment that gives most information about which explanation is
+true, in a second of the bench's time, is the best one.
 """
 
 import itertools
@@ -14,6 +15,7 @@ import numpy as np
 from mrd_base.progress import ignore
 from mrd_diagnosis.diagnosis import Advice
 from mrd_diagnosis.experiment_design.experiment_library import RATE, library, sizes_of, sizes_of_bench, usual_bench
+from mrd_diagnosis.experiment_design.information import expected_information
 from mrd_diagnosis.experiment_design.separation import Pair, Predictor, Separation
 from mrd_diagnosis.fitting.refit import Refit
 from mrd_diagnosis.fitting.weighting import Weighting
@@ -67,6 +69,7 @@ def advise(
     weighting: Weighting,
     rng: np.random.Generator | None = None,
     *,
+    chances: Mapping[str, float] | None = None,
     without: Refit | None = None,
     bench: GeneratorSettings | None = None,
     progress: Callable[[float], None] = ignore,
@@ -80,6 +83,8 @@ def advise(
     weighting : Weighting
     rng : numpy Generator, optional
         Source of the errors that are drawn. Without one, the same errors are drawn each time.
+    chances : mapping, optional
+        Probability of each explanation; by default, all are as likely.
     without : Refit, optional
         The model without what the explanations explain the gap by. With it, an experiment must separate the explanations by
         more than the error of their formulas, see `mrd_diagnosis.fitting.statistics.certainty`.
@@ -93,14 +98,16 @@ def advise(
     -------
     Advice or None
         None for fewer than two explanations. An experiment is advised if it tells at least one pair apart with fewer wrong
-        choices than `Thresholds.wrong_choices`: the one that does so for most pairs, and among these the one that separates
-        them best.
+        choices than `Thresholds.wrong_choices`: among these, the one that gives most information in a second of the bench's
+        time. One that is recorded already is not advised again.
     """
     if len(explanations) < 2:
         return None
     sizes = sizes_of_bench(bench) if bench else sizes_of(scales_of([recording.run for recording in weighting.recordings]))
     rng, bench = rng or np.random.default_rng(0), bench or usual_bench(sizes)
-    plans, completed = library(bench, sizes), itertools.count(1)
+    recorded = {recording.run.name for recording in weighting.recordings}
+    plans = [planned for planned in library(bench, sizes) if planned.experiment.name not in recorded]
+    completed = itertools.count(1)
     predictor = Predictor.from_refits(explanations, weighting, rng, without)
 
     def separate(item: tuple[Plan, np.random.Generator]) -> dict[Pair, Separation] | None:
@@ -114,7 +121,8 @@ def advise(
         pair = next(itertools.combinations(explanations, 2))
         text = f"No experiment that can be advised is safe: each would exceed {bench.limits.force:g} N or another limit."
         return Advice(f"{text} {_sensor_for(pair, predictor)}", between=pair)
-    planned, separations = max(safe, key=lambda item: _merit(*item))
+    chances = chances or dict.fromkeys(explanations, 1.0)
+    planned, separations = max(safe, key=lambda item: _merit(item[0], item[1], chances))
     open_pairs = [pair for pair, separation in separations.items() if not separation.is_conclusive]
     worst_pair = max(open_pairs, key=lambda pair: separations[pair].error_rate, default=None)
     if worst_pair and len(open_pairs) == len(separations):
@@ -171,14 +179,13 @@ def _advise_sensor(best: Plan, pair: Pair, separation: Separation, predictor: Pr
     return Advice(f"{text} {_sensor_for(pair, predictor)}", between=pair)
 
 
-def _merit(planned: Plan, separations: Mapping[Pair, Separation]) -> tuple[int, float]:
-    """Return how many pairs a run tells apart, and the least squared distance of these per second of the run.
-
-    Where it tells none apart, the largest distance takes the place of the least one.
+def _merit(planned: Plan, separations: Mapping[Pair, Separation], chances: Mapping[str, float]) -> tuple[bool, float, float]:
+    """Return whether a run tells any explanations apart, its information per second, and, where that is nothing, its largest
+    squared distance per second.
     """
-    conclusive = [separation.squared_distance for separation in separations.values() if separation.is_conclusive]
-    decisive = min(conclusive) if conclusive else max(s.squared_distance for s in separations.values())
-    return len(conclusive), decisive / planned.duration
+    decides = any(separation.is_conclusive for separation in separations.values())
+    farthest = max(separation.squared_distance for separation in separations.values())
+    return decides, expected_information(chances, separations) / planned.duration, farthest / planned.duration
 
 
 def _rate(weighting: Weighting) -> float:

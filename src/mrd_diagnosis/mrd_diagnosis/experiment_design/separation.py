@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from mrd_diagnosis.experiment_design.prediction import Explanation, UpdatedProblem
 from mrd_diagnosis.fitting.refit import Refit
-from mrd_diagnosis.fitting.statistics import certainty, error_dispersion
+from mrd_diagnosis.fitting.statistics import certainty, error_dispersion, tempering_of
 from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, whitening
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.least_squares import levenberg_marquardt
@@ -48,10 +48,18 @@ class Separation:
         Squared distance of their white predictions.
     certainty : float
         Probability of the true explanation after the run, although the formula of either may be wrong.
+    tempering : float
+        Factor by which the squared distance counts less than noise alone says, because the formula of either may be wrong.
     """
 
     squared_distance: float
     certainty: float = 1.0
+    tempering: float = 1.0
+
+    @property
+    def tempered_squared_distance(self) -> float:
+        """Squared distance that counts; see `mrd_diagnosis.fitting.statistics.probabilities`."""
+        return self.squared_distance * self.tempering
 
     @property
     def error_rate(self) -> float:
@@ -148,10 +156,15 @@ class Predictor:
                         - self.explanations[true].held_out_cost
                         + predicted[true].dispersion * squared_distance
                     )
-                    directed.append(Separation(squared_distance, certainty(lead, gaps[true]) if gaps else 1.0))
+                    if gaps:
+                        tempering = tempering_of(predicted[true].dispersion, gaps[true])
+                        directed.append(Separation(squared_distance, certainty(lead, gaps[true]), tempering))
+                    else:
+                        directed.append(Separation(squared_distance))
             separations[pair] = Separation(
                 min(separation.squared_distance for separation in directed),
                 min(separation.certainty for separation in directed),
+                min(separation.tempering for separation in directed),
             )
         return separations
 

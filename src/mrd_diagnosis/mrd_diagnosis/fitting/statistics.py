@@ -31,6 +31,15 @@ def certainty(lead: float, gap: float) -> float:
     return float(expit(lead / (THRESHOLDS.formula_error * max(gap, np.finfo(float).tiny))))
 
 
+def tempering_of(dispersion: float, gap: float) -> float:
+    """Return the factor by which a white squared distance counts less than noise says, when the explanations explain ``gap``
+    (white squares) by formulas that may be wrong.
+
+    ``dispersion`` is that of the errors (`error_dispersion`), which the distance contains already.
+    """
+    return min(1.0, dispersion / max(0.5 * THRESHOLDS.formula_error * gap, np.finfo(float).tiny))
+
+
 def probabilities(alternatives: Sequence[Refit], rng: np.random.Generator) -> Array:
     """Return the probability (alternatives,) of each refit to be the one that predicts held-out folds best.
 

@@ -1,39 +1,109 @@
-"""Diagnosis as a node: the action `diagnose` does what the tool ``diagnose`` does."""
+"""Diagnosis as a node: of recorded runs (action `diagnose`), and of runs that the bench records for it
+(`diagnose_on_bench`).
+"""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
 
+from mrd_base import InputError
 from mrd_base.nodes.bench_node import run_node
-from mrd_base.nodes.graph import DIAGNOSE
+from mrd_base.nodes.graph import DIAGNOSE, DIAGNOSE_ON_BENCH, RUN_SET
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
+from mrd_diagnosis.nodes.recording_client import run_on_bench
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.report.sentences import next_command
+from mrd_diagnosis.sequential.recorded import folder_of_round, missing_plans, read_recorded
+from mrd_diagnosis.sequential.report import write_sequential_report
+from mrd_diagnosis.sequential.sequential import BUDGET, Round, diagnose_sequentially
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
 from mrd_identification.low_pass import with_force_filters
-from mrd_interfaces.action import Diagnose
-from mrd_runs.nodes.analysis_node import AnalysisNode
+from mrd_interfaces.action import Diagnose, DiagnoseOnBench
+from mrd_runs import Run, read_runs
+from mrd_runs.nodes.analysis_node import AnalysisNode, Offer
 from mrd_sim.current import parse_laws
 from mrd_sim.models import find_model
 from mrd_sim.own import own_catalogue
+from mrd_trajectory.plan import Plan
 from mrd_trajectory.settings import read_settings
 
 
 class Diagnoser(AnalysisNode):
-    """Serves the action ``diagnose``."""
+    """Serves the actions ``diagnose`` and ``diagnose_on_bench``, one goal at a time."""
 
     def __init__(self) -> None:
-        super().__init__("diagnoser", DIAGNOSE.type, DIAGNOSE.name)
+        super().__init__(
+            "diagnoser",
+            Offer(DIAGNOSE, self.check, self.work),
+            Offer(DIAGNOSE_ON_BENCH, self.check_on_bench, self.work_on_bench),
+        )
+        self._run_set = RUN_SET.client(self)
 
     def check(self, request: Diagnose.Goal) -> None:
         """Refuse a model or current laws that there are not."""
         parse_laws(request.laws, "laws")
-        if request.model != BEST_MODEL:
-            with own_catalogue(request.models_folder):
-                find_model(request.model)
+        _check_model(request)
+
+    def check_on_bench(self, request: DiagnoseOnBench.Goal) -> None:
+        """Refuse a model that there is not, and a bench that is not there."""
+        _check_model(request)
+        if not request.folder:
+            raise InputError("folder: is empty, expected the folder of recordings and reports")
+        if not self._run_set.server_is_ready():
+            raise InputError(f"the bench is not there: nobody serves the action {RUN_SET.name}; start the bench")
+
+    def work_on_bench(
+        self, request: DiagnoseOnBench.Goal, publish: Callable[[Any], None], result: DiagnoseOnBench.Result
+    ) -> None:
+        """Record and diagnose in turn, and write the reports of every round."""
+        folder = make_folder(request.folder).resolve()
+        bench = read_settings(request.bench or os.environ.get("MRD_BENCH"))
+        parameters = read_fit(request.parameters) if request.parameters else None
+        further = read_runs(request.runs) if request.runs else []
+        rounds: list[Round] = []
+        reached: dict[int, float] = {}
+
+        def progress(number: int, stage: str, fraction: float, moves: bool = False) -> None:
+            added = rounds[-1].added if rounds else ""
+            reached[number] = fraction = max(fraction, reached.get(number, 0.0))  # the first round records twice
+            publish(DiagnoseOnBench.Feedback(round=number, stage=stage, moves=moves, fraction=fraction, added=added))
+
+        def record(number: int, plans: Sequence[Plan]) -> list[Run]:
+            def recording(stage: str, fraction: float) -> None:
+                progress(number, stage, 0.5 * fraction, moves=True)
+
+            missing = missing_plans(plans, folder_of_round(folder, number))
+            if missing:
+                run_on_bench(self._run_set, missing, folder_of_round(folder, number), request.seed, recording)
+            return read_recorded(plans, folder_of_round(folder, number))
+
+        def on_round(of_round: Round) -> None:
+            rounds.append(of_round)
+            write_gap_report(of_round.diagnosis, make_folder(str(folder_of_round(folder, of_round.number) / "report")))
+
+        with own_catalogue(request.models_folder, request.effects_folder):
+            outcome = diagnose_sequentially(
+                record,
+                request.model or BEST_MODEL,
+                bench=bench,
+                budget=request.budget or BUDGET,
+                further=further,
+                parameters=parameters,
+                seed=request.seed,
+                on_round=on_round,
+                progress=lambda number, stage, fraction: progress(number, stage, 0.5 + 0.5 * fraction),
+            )
+            page = write_sequential_report(outcome, folder)
+            result.next_command = next_command(outcome.diagnosis, str(folder_of_round(folder, len(rounds)) / "report"))
+        diagnosis = outcome.diagnosis
+        result.message, result.verdict, result.report = diagnosis.sentence, diagnosis.verdict, str(page)
+        result.causes = [cause.effect for cause in diagnosis.causes]
+        result.probability = [cause.probability for cause in diagnosis.causes]
+        result.ending, result.why = outcome.ending, outcome.why
+        result.rounds, result.duration = len(outcome.rounds), outcome.duration
 
     def work(self, request: Diagnose.Goal, publish: Callable[[Any], None], result: Diagnose.Result) -> None:
         """Diagnose the gap that the goal asks about, and write the report."""
@@ -68,6 +138,13 @@ class Diagnoser(AnalysisNode):
         result.causes = [cause.effect for cause in diagnosis.causes]
         result.probability = [cause.probability for cause in diagnosis.causes]
         result.closed_fraction = diagnosis.gap.closed_fraction.value if diagnosis.gap else float("nan")
+
+
+def _check_model(request: Any) -> None:
+    """Refuse a model that there is not."""
+    if request.model and request.model != BEST_MODEL:
+        with own_catalogue(request.models_folder):
+            find_model(request.model)
 
 
 def main() -> None:

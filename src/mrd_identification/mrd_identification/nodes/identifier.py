@@ -17,7 +17,7 @@ from mrd_identification.low_pass import with_force_filters
 from mrd_identification.method import Method, parse_method
 from mrd_identification.report import write_report
 from mrd_interfaces.action import Identify
-from mrd_runs.nodes.analysis_node import AnalysisNode
+from mrd_runs.nodes.analysis_node import AnalysisNode, Offer
 from mrd_sim.models import find_model
 from mrd_sim.own import own_catalogue
 
@@ -26,7 +26,7 @@ class Identifier(AnalysisNode):
     """Serves the action ``identify``."""
 
     def __init__(self) -> None:
-        super().__init__("identifier", IDENTIFY.type, IDENTIFY.name)
+        super().__init__("identifier", Offer(IDENTIFY, self.check, self.work))
 
     def check(self, request: Identify.Goal) -> None:
         """Refuse a method or a model that there is not."""

@@ -4,15 +4,16 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import CancelResponse, GoalResponse
 from rclpy.task import Future
 
 from mrd_base import InputError, quantity
 from mrd_base.nodes.bench_node import BenchNode
-from mrd_base.nodes.graph import SAMPLES
+from mrd_base.nodes.graph import SAMPLES, Action
 from mrd_runs import Run, read_runs
 from mrd_runs.read import read_groups
 from mrd_runs.sample_buffer import SampleBuffer
@@ -28,64 +29,73 @@ class AnalysisSettings:
     )
 
 
+@dataclass(frozen=True)
+class Offer:
+    """What a node offers by an action.
+
+    Attributes
+    ----------
+    action : Action
+        Its goal has ``effects_folder`` and ``models_folder``, its result ``success`` and ``message``.
+    check : callable
+        Raises `InputError` for a goal that cannot be worked on, as far as that shows at once.
+    work : callable
+        Fills a result for a goal; called in the worker thread with the goal, a function that publishes feedback, and the
+        result. The function raises `CancelledError` when the goal was cancelled or the node is closing.
+    """
+
+    action: Action
+    check: Callable[[Any], None]
+    work: Callable[[Any, Callable[[Any], None], Any], None]
+
+
 class CancelledError(Exception):
     """Raised when the client has cancelled the goal or the node is closing."""
 
 
 class AnalysisNode(BenchNode[AnalysisSettings]):
-    """Subscribes to ``samples`` and serves one action, one goal at a time, in a worker thread.
+    """Subscribes to ``samples`` and serves actions, one goal at a time, in a worker thread.
 
-    A goal that comes meanwhile, or that `check` refuses, is rejected with the reason on ``refusals``.
+    A goal that comes meanwhile, or that is refused, is rejected with the reason on ``refusals``.
 
     Parameters
     ----------
     name : str
         Default name of the node.
-    action : type
-        Type of the action. Its goal has ``runs``, ``held_out``, ``skip``, ``effects_folder`` and ``models_folder``, its
-        result ``success`` and ``message``.
-    action_name : str
-        Name under which the action is served.
+    *offers : Offer
     """
 
-    def __init__(self, name: str, action: Any, action_name: str) -> None:
+    def __init__(self, name: str, *offers: Offer) -> None:
         super().__init__(name, AnalysisSettings)
-        self._action, self._action_name = action, action_name
         self._buffer = SampleBuffer(self.config.max_blocks)
         self._busy = False
         self._stopping = threading.Event()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix=name)
         SAMPLES.subscription(self, self._buffer.append, raw=True)
-        self._server = ActionServer(
-            self,
-            action,
-            action_name,
-            self._execute,
-            goal_callback=self._accept,
-            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
-        )
+        self._servers = [
+            offer.action.server(
+                self,
+                partial(self._execute, offer),
+                goal_callback=partial(self._accept, offer),
+                cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+            )
+            for offer in offers
+        ]
 
-    def work(self, request: Any, publish: Callable[[Any], None], result: Any) -> None:
-        """Fill ``result`` for ``request``; called in the worker thread.
-
-        ``publish`` sends feedback. It raises `CancelledError` when the goal was cancelled or the node is closing.
-        """
-        raise NotImplementedError
-
-    async def _execute(self, goal: Any) -> Any:
+    async def _execute(self, offer: Offer, goal: Any) -> Any:
         def publish(feedback: Any) -> None:
             if goal.is_cancel_requested or self._stopping.is_set():
                 raise CancelledError
             goal.publish_feedback(feedback)
 
-        result = self._action.Result()
+        result = offer.action.type.Result()
         try:
-            await self._in_worker(lambda: self.work(goal.request, publish, result))
+            await self._in_worker(lambda: offer.work(goal.request, publish, result))
         except InputError as error:
-            result = self._action.Result(message=str(error))
+            result = offer.action.type.Result(message=str(error))
             goal.abort()
         except CancelledError:
-            result = self._action.Result(message="cancelled")
+            result = offer.action.type.Result(message="cancelled")
             goal.canceled()
         else:
             result.success = True
@@ -94,9 +104,6 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
             self._busy = False
         self.get_logger().info(result.message)
         return result
-
-    def check(self, request: Any) -> None:
-        """Raise `InputError` for a goal that cannot be worked on, as far as that shows at once."""
 
     def _require_trusted(self, request: Any) -> None:
         """Refuse effects and models, which are Python, of a folder that this node was not started with: anybody may send a
@@ -111,14 +118,14 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
                     f"trusted_folders ({', '.join(map(str, trusted)) or 'none'}); start the node with it, or use the tool"
                 )
 
-    def _accept(self, request: Any) -> GoalResponse:
+    def _accept(self, offer: Offer, request: Any) -> GoalResponse:
         try:
             if self._busy:
                 raise InputError("another goal is being worked on; wait for its end or cancel it")
             self._require_trusted(request)
-            self.check(request)
+            offer.check(request)
         except InputError as error:
-            self.refuse(self._action_name, str(error))
+            self.refuse(offer.action.name, str(error))
             return GoalResponse.REJECT
         self._busy = True
         return GoalResponse.ACCEPT

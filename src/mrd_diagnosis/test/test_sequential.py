@@ -1,0 +1,138 @@
+"""Sequential diagnosis: what is recorded next, why it ends, and how an interrupted one goes on."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import log
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mrd_base import InputError
+from mrd_diagnosis.experiment_design.information import expected_information
+from mrd_diagnosis.experiment_design.separation import Separation
+from mrd_diagnosis.report.page import write_gap_report
+from mrd_diagnosis.sequential.first_set import FIRST_SET, first_set
+from mrd_diagnosis.sequential.recorded import folder_of_round, missing_plans, read_recorded
+from mrd_diagnosis.sequential.report import write_sequential_report
+from mrd_diagnosis.sequential.sequential import diagnose_sequentially
+from mrd_runs import Run
+from mrd_sim.simulate import Damper, measure_plans
+from mrd_trajectory.plan import Plan
+from mrd_trajectory.settings import GeneratorSettings
+
+BENCH = GeneratorSettings()
+BINGHAM = {"yield_force": 80.0, "yield_force_per_A": 900.0, "viscous": 900.0, "offset": -45.0}
+LAG, DELAY = "force_sensor_lag", "channel_delay"
+FEW = (LAG, DELAY, "gas_spring")
+
+
+class SimulatedBench:
+    """Measures a damper along what it is asked for, and remembers what that was."""
+
+    def __init__(self, damper: Damper, change: Callable[[Run], Run]) -> None:
+        self._damper, self._change = damper, change
+        self.asked: list[tuple[int, list[str]]] = []
+
+    def __call__(self, number: int, plans: Sequence[Plan]) -> list[Run]:
+        self.asked.append((number, [planned.experiment.name for planned in plans]))
+        runs = measure_plans(plans, self._damper, np.random.default_rng([number, len(self.asked)]))
+        return [self._change(replace(run, name=planned.experiment.name)) for planned, run in zip(plans, runs, strict=True)]
+
+
+def bench_with(effects: dict[str, dict[str, float]], change: Callable[[Run], Run] = lambda run: run) -> SimulatedBench:
+    """Return a bench whose damper has effects, and whose recordings may be changed."""
+    return SimulatedBench(Damper("bingham", BINGHAM, None, effects), change)
+
+
+@given(st.lists(st.floats(0.01, 1.0), min_size=2, max_size=4), st.floats(0.0, 1e3), st.floats(1.0, 10.0))
+def test_information_grows_with_the_distance_up_to_the_entropy(chances, distance, factor):
+    names = [f"e{number}" for number in range(len(chances))]
+    pairs = [(a, b) for place, a in enumerate(names) for b in names[place + 1 :]]
+    of = dict(zip(names, chances, strict=True))
+    near = expected_information(of, {pair: Separation(distance) for pair in pairs})
+    far = expected_information(of, {pair: Separation(distance * factor) for pair in pairs})
+    shares = np.array(chances) / sum(chances)
+    assert 0.0 <= near <= far + 1e-12
+    assert far <= -np.sum(shares * np.log(shares)) + 1e-12
+    assert expected_information(of, {pair: Separation(0.0) for pair in pairs}) == pytest.approx(0.0, abs=1e-12)
+    certain = expected_information({"a": 1.0, "b": 1.0}, {("a", "b"): Separation(1e9)})
+    assert certain == pytest.approx(log(2.0))
+
+
+def test_a_formula_that_may_be_wrong_gives_less_information():
+    exact, wrong = (Separation(400.0, tempering=tempering) for tempering in (1.0, 0.01))
+    chances = {"a": 0.5, "b": 0.5}
+    assert expected_information(chances, {("a", "b"): wrong}) < expected_information(chances, {("a", "b"): exact})
+
+
+def test_the_first_set_is_short_and_within_the_limits_of_a_small_bench():
+    weak = replace(BENCH, limits=replace(BENCH.limits, stroke=0.02, force=300.0, speed=0.1))
+    for bench in (BENCH, weak):
+        plans = first_set(bench)
+        assert [planned.experiment.name for planned in plans] == list(FIRST_SET)
+        assert sum(planned.duration for planned in plans) < 60.0
+        assert all(planned.peaks[0].value <= bench.limits.reach * 1e3 * (1 + 1e-6) for planned in plans)
+
+
+def test_a_healthy_damper_needs_one_round():
+    bench = bench_with({})
+    outcome = diagnose_sequentially(bench, "bingham", bench=BENCH, effects=FEW)
+    assert (outcome.ending, outcome.diagnosis.verdict) == ("no_gap", "no_gap")
+    assert bench.asked == [(1, [FIRST_SET[0]]), (1, list(FIRST_SET[1:]))]
+    assert len(outcome.rounds) == 1
+    assert outcome.duration == pytest.approx(sum(run.duration for run in outcome.diagnosis.runs))
+
+
+def test_a_fault_of_the_measurement_ends_it_after_the_first_recording():
+    bench = bench_with({}, lambda run: replace(run, force=-run.force))
+    outcome = diagnose_sequentially(bench, "bingham", bench=BENCH, effects=FEW)
+    assert (outcome.ending, outcome.diagnosis.verdict) == ("data_fault", "data_fault")
+    assert bench.asked == [(1, [FIRST_SET[0]])]
+
+
+def test_what_is_recorded_next_names_the_cause_that_the_first_recordings_leave_open(tmp_path):
+    """A lag of half a millisecond looks like a delay at first."""
+    bench = bench_with({LAG: {"lag": 0.4e-3}})
+    rounds = []
+    outcome = diagnose_sequentially(bench, "bingham", bench=BENCH, effects=FEW, budget=120.0, on_round=rounds.append)
+    assert rounds == list(outcome.rounds)
+    further = [names for number, names in bench.asked if number > 1]
+    assert all(len(names) == 1 for names in further)
+    assert not {name for names in further for name in names} & set(FIRST_SET)
+    assert outcome.duration <= 125.0
+    assert outcome.diagnosis.causes
+    assert {member.effect for cause in outcome.diagnosis.causes for member in cause.members} & {LAG, DELAY}
+    assert all(of_round.added.endswith(".") for of_round in rounds)
+    assert outcome.ending in ("cause_known", "nothing_separates", "budget")
+    for of_round in rounds:
+        folder = folder_of_round(tmp_path, of_round.number) / "report"
+        folder.mkdir(parents=True)
+        write_gap_report(of_round.diagnosis, folder)
+    page = write_sequential_report(outcome, tmp_path).read_text()
+    written = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert written["ending"] == outcome.ending
+    assert [entry["recordings"] for entry in written["rounds"]] == [[r.name for r in o.runs] for o in rounds]
+    for entry in written["rounds"]:
+        assert (tmp_path / entry["report"]).exists()
+        assert entry["added"] in page.replace("&#39;", "'").replace("&gt;", ">").replace("&lt;", "<")
+
+
+def test_a_budget_that_the_first_recordings_exceed_is_refused_before_anything_moves():
+    bench = bench_with({})
+    with pytest.raises(InputError, match=r"budget: found 10 s of bench time, expected at least \d+ s"):
+        diagnose_sequentially(bench, "bingham", bench=BENCH, budget=10.0)
+    assert bench.asked == []
+
+
+def test_recordings_of_an_interrupted_round_are_read_and_the_others_are_missing(tmp_path, write_csv, make_columns):
+    plans = first_set(BENCH)[:2]
+    assert missing_plans(plans, tmp_path) == list(plans)
+    name = plans[0].experiment.name
+    columns = make_columns()
+    write_csv(tmp_path / name, columns)
+    assert missing_plans(plans, tmp_path) == [plans[1]]
+    with pytest.raises(InputError, match=f"{name}: holds .* s, expected the .* s of its experiment; move it away"):
+        read_recorded(plans[:1], tmp_path)
