@@ -41,6 +41,8 @@ class WholeBench:
         Parameters of nodes that differ from the shipped files.
     control_cycle : float, optional
         Time in s between two setpoints of a hybrid test, for which the bench then has a controller.
+    diagnoser : bool
+        Whether the bench has a diagnoser.
     environment : str
         Environment variables of the nodes.
     """
@@ -51,10 +53,11 @@ class WholeBench:
         parameters: Mapping[str, Mapping[str, Any]] | None = None,
         *,
         control_cycle: float | None = None,
+        diagnoser: bool = False,
         **environment: str,
     ) -> None:
         self._folder = folder
-        specs = bench_processes(BENCH, PLANT, folder / "motor", seed=1, control_cycle=control_cycle)
+        specs = bench_processes(BENCH, PLANT, folder / "motor", seed=1, control_cycle=control_cycle, diagnoser=diagnoser)
         # The procedure asks a killed node to stop, too. Its silence ends the wait sooner than by default.
         given = {"supervisor": {"answer_timeout_s": 2.5, "close_timeout_s": 15.0}, **(parameters or {})}
         specs = [

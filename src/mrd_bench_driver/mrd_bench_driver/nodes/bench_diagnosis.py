@@ -33,10 +33,16 @@ def diagnose_on_bench(client: BenchClient, goal: DiagnoseOnBench.Goal) -> None:
     if not result.success:
         for bag in recorded_in(Path(goal.folder)):
             print(f"recorded until then: {bag}", file=sys.stderr)
-        print(f"error: {result.message}; go on by --resume --output {goal.folder}", file=sys.stderr)
+        reason = result.message or "the diagnoser failed; look at its log"
+        print(f"error: {reason}; go on by --resume --output {goal.folder}", file=sys.stderr)
         sys.exit(1)
     print(f"after {result.rounds} rounds, {result.duration:.0f} s of bench time: {result.message}")
     print(f"it ends here: {result.why}")
+    if result.ending == "nothing_separates":
+        print(
+            "go on with that measurement by: ros2 run mrd_bench_driver bench, with the same options and "
+            f"--resume --output {goal.folder} --add RUN"
+        )
     if result.next_command:
         print(f"next command: {result.next_command}")
     print(result.report)

@@ -13,8 +13,8 @@ from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
 from mrd_diagnosis.sequential.first_set import first_set
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_diagnosis.wording.effect_names import effect_names
-from mrd_diagnosis.wording.quantities import format_probability
+from mrd_diagnosis.wording.effect_names import effect_name, effect_names
+from mrd_diagnosis.wording.quantities import capitalised, format_probability
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.preflight import preflight
 from mrd_runs import Run
@@ -209,23 +209,20 @@ def _ending(diagnosis: Diagnosis, asked: Sequence[Plan], left: float) -> tuple[E
 
 
 def _added(before: dict[str, float], after: dict[str, float], diagnosis: Diagnosis) -> str:
-    """Return what a round added, as a sentence: which candidates it removed, and how likely the first one is now."""
+    """Return what a round added, in sentences: which candidates it removed, and how likely the first one is now."""
     if diagnosis.verdict in ("data_fault", "no_gap"):
         return diagnosis.sentence
     if not after:
         return "No effect of the catalogue is likely to be the cause."
     lead, chance = next(iter(after.items()))
-    likely = f"{effect_names([lead])} has a probability of {format_probability(chance)}"
+    now = f"a probability of {format_probability(chance)}"
     if not before:
-        return f"{_count(len(after))} may be the cause: {effect_names(list(after))}; {likely}."
-    removed = [effect for effect in before if effect not in after]
-    new = [effect for effect in after if effect not in before]
+        if len(after) == 1:
+            return f"One effect may be the cause: {effect_name(lead)}, with {now}."
+        return f"{len(after)} effects may be the cause: {effect_names(list(after))}. The first one has {now}."
+    removed, new = ([name for name in a if name not in b] for a, b in ((before, after), (after, before)))
     parts = [f"it rules out {effect_names(removed)}"] if removed else []
     parts += [f"it brings in {effect_names(new)}"] if new else []
     changed = " and ".join(parts) or "the candidates stay the same"
-    was = f", after {format_probability(before[lead])}" if lead in before else ""
-    return f"{changed[0].upper()}{changed[1:]}; {likely}{was}."
-
-
-def _count(number: int) -> str:
-    return "One effect" if number == 1 else f"{number} effects"
+    was = f", {format_probability(before[lead])} before" if lead in before else ""
+    return f"{capitalised(changed)}. {capitalised(effect_name(lead))} has {now}{was}."

@@ -17,8 +17,8 @@ def work() -> None:
     """Parse the arguments, diagnose, report."""
     parser = argparse.ArgumentParser(
         prog="sequential",
-        description="Let the diagnosis choose what plants with one effect record after a short first set, and compare it with "
-        "random recordings and a fixed set at the same bench time; an interrupted trial is continued.",
+        description="Let the diagnosis choose what plants with one effect record after a short first set, and compare it "
+        "with random recordings and a fixed set at the same bench time; an interrupted trial is continued.",
     )
     add_trial(parser)
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder for the outcomes")

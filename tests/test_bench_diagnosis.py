@@ -1,0 +1,154 @@
+"""A diagnosis on the bench, by its tool and the real nodes: a stop ends it, and it goes on where it ended."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from std_msgs.msg import Bool
+
+from mrd_interfaces.action import DiagnoseOnBench
+
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(600)]
+
+ROOT = Path(__file__).resolve().parents[1]
+BENCH, PLANT = ROOT / "config/bench.yaml", ROOT / "config/plant.yaml"
+SHORT = """
+name: short
+duration_s: 1.0
+rate_hz: 500.0
+rod: {waveform: sine, amplitude_mm: 8.0, frequency_hz: 1.0}
+"""
+FIRST = ("large_random_current", "whole_stroke", "speed_ladder", "steps_at_two_speeds")
+
+Start = Callable[..., subprocess.Popen[str]]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Start `bench --simulated --diagnose`; it is ended with the test."""
+    started: list[subprocess.Popen[str]] = []
+
+    def begin(*options: str, plant: Path = PLANT) -> subprocess.Popen[str]:
+        command = ["ros2", "run", "mrd_bench_driver", "bench", "--simulated", "--plant", str(plant)]
+        command += ["--output", str(tmp_path / "out"), "--diagnose", "bouc_wen", *options]
+        started.append(
+            subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
+        )
+        return started[-1]
+
+    yield begin
+    for process in started:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=120)
+
+
+@pytest.fixture
+def lagging(tmp_path: Path) -> Path:
+    """A plant whose force sensor lags."""
+    path = tmp_path / "plant.yaml"
+    text = PLANT.read_text()
+    assert text.count('effects: ""') == 1
+    path.write_text(text.replace('effects: ""', 'effects: "force_sensor_lag: {lag: 0.003}"'))
+    return path
+
+
+def wait_for(holds: Callable[[], object], process: subprocess.Popen[str], seconds: float = 300.0) -> None:
+    """Wait until a condition holds, while the bench runs."""
+    deadline = time.monotonic() + seconds
+    while not holds():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def node_of(process: subprocess.Popen[str], name: str) -> psutil.Process:
+    """Return the process of a node of the bench."""
+    (found,) = [
+        child
+        for child in psutil.Process(process.pid).children(recursive=True)
+        if any(word.endswith(f"/{name}") for word in child.cmdline()[:3])
+    ]
+    return found
+
+
+def closed(bag: Path) -> bool:
+    """Return whether a recording is complete."""
+    return (bag / "metadata.yaml").exists()
+
+
+def test_a_healthy_damper_has_no_gap_and_what_is_recorded_is_not_recorded_again(start: Start, tmp_path: Path) -> None:
+    first = tmp_path / "out" / "round_1" / FIRST[0]
+    process = start()
+    wait_for(lambda: closed(first), process)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 130, errors
+    assert f"recorded until then: {first}" in errors
+    kept = (first / "metadata.yaml").stat().st_mtime_ns
+    for bag in (tmp_path / "out" / "round_1").iterdir():
+        if bag != first:  # a stopped recording holds a part of its experiment
+            bag.rename(tmp_path / bag.name)
+
+    refused = start()
+    _, errors = refused.communicate(timeout=120)
+    assert refused.returncode == 2
+    assert "holds a diagnosis already; go on with it by --resume" in errors
+
+    process = start("--resume")
+    output, errors = process.communicate(timeout=400)
+    assert process.returncode == 0, errors
+    assert "No gap beyond the noise" in output
+    assert (first / "metadata.yaml").stat().st_mtime_ns == kept
+    written = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert (written["verdict"], written["ending"]) == ("no_gap", "no_gap")
+    assert [entry["recordings"] for entry in written["rounds"]] == [list(FIRST)]
+    assert (tmp_path / "out" / "diagnosis.html").exists()
+    assert (tmp_path / "out" / "round_1" / "report" / "gap_report.html").exists()
+
+
+def test_a_fault_is_named_and_a_killed_diagnoser_loses_no_recording(start: Start, lagging: Path, tmp_path: Path) -> None:
+    last = tmp_path / "out" / "round_1" / FIRST[-1]
+    process = start(plant=lagging)
+    wait_for(lambda: closed(last), process)
+    node_of(process, "diagnoser").kill()
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 1
+    assert "diagnoser ended with status" in errors
+    assert errors.count("recorded until then: ") == len(FIRST)
+
+    process = start("--resume", plant=lagging)
+    output, errors = process.communicate(timeout=400)
+    assert process.returncode == 0, errors
+    assert "The force sensor lags by 3." in output or "The force sensor lags by 2.9" in output
+    assert "next command: ros2 run mrd_diagnosis apply" in output
+
+
+@pytest.mark.parametrize("phase", ["it records", "it computes"])
+def test_an_emergency_stop_ends_it(whole_bench: Any, tmp_path: Path, phase: str) -> None:
+    """Pressed while the rod moves, the recording ends; pressed while the diagnosis computes, no further one begins."""
+    with whole_bench(tmp_path, diagnoser=True) as bench:
+        pressed: list[str] = []
+
+        def press(feedback: Any) -> None:
+            if not pressed and (feedback.stage.endswith("running") if phase == "it records" else not feedback.moves):
+                pressed.append(feedback.stage)
+                bench.button.publish(Bool(data=True))
+
+        goal = DiagnoseOnBench.Goal(model="bouc_wen", bench=str(BENCH), folder=str(tmp_path / "out"))
+        result = bench.client.diagnose_on_bench(goal, press)
+        assert pressed
+        if phase == "it records":
+            assert not result.success
+            assert "emergency stop" in result.message
+            assert [path.name for path in (tmp_path / "out" / "round_1").iterdir()] == [FIRST[0]]
+        refused = bench.client.run_set([SHORT], tmp_path / "later", 0)
+        assert not refused.success
+        assert not (tmp_path / "later").exists()
