@@ -145,6 +145,7 @@ def policies() -> str:
             ("services", "reply"): [*(service.name for service in SERVICES if service.node == node), *PARAMETER_SERVICES],
             ("services", "request"): [*others, "daq/set_parameters"] if node == "supervisor" else [],
             ("actions", "execute"): [action.name for action in ACTIONS if action.node == node],
+            ("actions", "call"): [action.name for action in ACTIONS if node in action.callers],
         }
         add(node, rules)
     stops = [topic.name for topic in TOPICS if "bench" in topic.publishers]

@@ -101,12 +101,13 @@ class Service:
 
 @dataclass(frozen=True, eq=False)  # each is one of its kind
 class Action:
-    """An action: its name, its type, the node that serves it, and what it does."""
+    """An action: its name, its type, the node that serves it, what it does, and the nodes beside the tools that call it."""
 
     name: str
     type: Any
     node: str
     doc: str
+    callers: tuple[str, ...] = ()
 
     def server(self, node: Any, execute: Callable[[Any], Any], **options: Any) -> ActionServer:
         """Return a new server of a node."""
@@ -360,7 +361,7 @@ STOP_RECORDING = Service("stop_recording", StopRecording, "recorder", "close the
 
 RUN_EXPERIMENT = Action("run_experiment", RunExperiment, "supervisor", "home, tare, record one experiment, close the bag")
 RUN_CONTROL = Action("run_control", RunExperiment, "supervisor", "home, tare, record one hybrid test, close the bag")
-RUN_SET = Action("run_set", RunSet, "supervisor", "record experiments one after the other")
+RUN_SET = Action("run_set", RunSet, "supervisor", "record experiments one after the other", callers=("diagnoser",))
 IDENTIFY = Action("identify", Identify, "identifier", "fit a damper model, as the tool identify does")
 DIAGNOSE = Action("diagnose", Diagnose, "diagnoser", "explain the gap between simulator and runs, as the tool diagnose does")
 DIAGNOSE_ON_BENCH = Action(
