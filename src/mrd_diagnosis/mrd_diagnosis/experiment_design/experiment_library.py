@@ -1,6 +1,6 @@
 """Library of experiments from which the next one is chosen; none exceeds the limits of the bench."""
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass, replace
 
 from mrd_runs.scales import REFERENCE, Scales
@@ -149,8 +149,8 @@ def _candidates(sizes: Sizes) -> Iterator[tuple[str, str, Waveform, Waveform]]:
     yield "micro_strokes", f"strokes of {text(0.4)} down to {text(0.04)} mm at high currents", micro, high
 
 
-def library(bench: GeneratorSettings, sizes: Sizes = Sizes()) -> tuple[Plan, ...]:
-    """Return experiments of about a quarter of a minute, each within the limits of a bench.
+def library(bench: GeneratorSettings, sizes: Sizes = Sizes(), names: Container[str] | None = None) -> tuple[Plan, ...]:
+    """Return experiments of about a quarter of a minute, each within the limits of a bench; only those of ``names`` if given.
 
     Motion and current of an experiment beyond a limit are scaled down; one that does not fit even then is left out. The last
     experiment takes longer, because it warms the damper.
@@ -170,5 +170,9 @@ def library(bench: GeneratorSettings, sizes: Sizes = Sizes()) -> tuple[Plan, ...
         repeats=3,
         description="the same fast motion for half a minute at constant current, which warms and settles the damper",
     )
-    plans = (plan_scaled(experiment, bench.limits, bench.force_envelope) for experiment in (*experiments, warm))
+    plans = (
+        plan_scaled(experiment, bench.limits, bench.force_envelope)
+        for experiment in (*experiments, warm)
+        if names is None or experiment.name in names
+    )
     return tuple(planned for planned in plans if planned is not None)

@@ -21,7 +21,7 @@ def first_set(bench: GeneratorSettings) -> list[Plan]:
     InputError
         For a bench whose limits none of them keeps.
     """
-    plans = {planned.experiment.name: planned for planned in library(bench, sizes_of_bench(bench))}
+    plans = {planned.experiment.name: planned for planned in library(bench, sizes_of_bench(bench), FIRST_SET)}
     chosen = [plans[name] for name in FIRST_SET if name in plans]
     if not chosen:
         raise InputError("limits: found none of the first experiments within them, expected at least one; check bench.yaml")

@@ -92,6 +92,7 @@ def diagnose_sequentially(
     *,
     bench: GeneratorSettings,
     budget: float = BUDGET,
+    first: Sequence[Plan] = (),
     further: Sequence[Run] = (),
     parameters: StoredFit | None = None,
     effects: Sequence[str] = (),
@@ -105,6 +106,8 @@ def diagnose_sequentially(
     ----------
     record : callable
         Records experiments. An exception that it raises ends the diagnosis.
+    first : sequence of Plan
+        Experiments of the first round, by default `first_set`. A fault in the first of them ends the diagnosis.
     further : sequence of Run
         Recordings of the same damper that a person made, such as those that an earlier diagnosis advised; they are diagnosed
         with all others.
@@ -124,7 +127,7 @@ def diagnose_sequentially(
     InputError
         For a budget that the first recordings exceed, and as `diagnose`.
     """
-    asked = first_set(bench)
+    asked = list(first) or first_set(bench)
     needed = sum(planned.duration for planned in asked)
     if budget < needed:
         raise InputError(
@@ -171,7 +174,6 @@ def open_candidates(diagnosis: Diagnosis) -> dict[str, float]:
     entries = [(cause.effect, cause.probability) for cause in diagnosis.causes]
     entries += [(member.effect, member.probability) for cause in diagnosis.causes for member in cause.members]
     entries += [(alternative.effect, alternative.probability) for alternative in diagnosis.alternatives]
-    entries += [(effect, chance) for weighed in diagnosis.weighed for effect, chance in weighed.table.items() if effect]
     for effect, chance in entries:
         if chance >= THRESHOLDS.listed_probability:
             found[effect] = max(chance, found.get(effect, 0.0))
