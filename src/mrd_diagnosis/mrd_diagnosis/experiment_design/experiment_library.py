@@ -150,7 +150,7 @@ def _candidates(sizes: Sizes) -> Iterator[tuple[str, str, Waveform, Waveform]]:
 
 
 def library(bench: GeneratorSettings, sizes: Sizes = Sizes(), names: Container[str] | None = None) -> tuple[Plan, ...]:
-    """Return experiments of about a quarter of a minute, each within the limits of a bench; only those of ``names`` if given.
+    """Return experiments of about a quarter of a minute, each within the limits of a bench; with ``names``, only these.
 
     Motion and current of an experiment beyond a limit are scaled down; one that does not fit even then is left out. The last
     experiment takes longer, because it warms the damper.
