@@ -13,6 +13,7 @@ from mrd_base import InputError
 from mrd_base.lease import Mode
 from mrd_control.experiment import ControlExperiment, parse_control_experiment
 from mrd_dashboard.audit import AuditLog
+from mrd_dashboard.bench_diagnosis import WHY_PAUSED, BenchDiagnosis, BenchDiagnosisOutcome, BenchDiagnosisRequest
 from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.control_right import ControlRight, NoControlError
 from mrd_dashboard.dampers import Dampers
@@ -38,6 +39,9 @@ REPORTS_FOLDER = "reports"
 
 METRICS_PERIOD = 0.8
 """Wall time in s between two computations of the metrics of a hybrid test."""
+
+# Receives the number of a round, its step, the share of the round that is done, and what the round before has added.
+RoundProgress = Callable[[int, str, float, str], None]
 
 # Receives the phase of a run and the time in s since the experiment began.
 Progress = Callable[[str, float], None]
@@ -73,6 +77,12 @@ class Commands(Protocol):
 
     async def run(self, kind: Kind, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
         """Record an experiment or a hybrid test, given by the text of its file; return when it has ended."""
+
+    async def diagnose(self, request: BenchDiagnosisRequest, progress: RoundProgress) -> BenchDiagnosisOutcome:
+        """Let the bench record and diagnose in turn; return when that has ended."""
+
+    def cancel_diagnosis(self) -> None:
+        """End the diagnosis on the bench, and what it records."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +128,8 @@ class Dashboard:
         File of the shipped hybrid test, from which the form of the control page starts.
     bench_file, plant : str
         Parameter files of the bench and of its simulated plant, or "".
+    bench_diagnosis : BenchDiagnosis
+        The latest diagnosis that records what it needs.
     looks : dict of str to Look
         Looks at recordings, by id.
     dampers : Dampers
@@ -140,6 +152,7 @@ class Dashboard:
     bench_file: str = ""
     plant: str = ""
     guide: Guide = field(default_factory=Guide)
+    bench_diagnosis: BenchDiagnosis = field(default_factory=BenchDiagnosis)
     looks: dict[str, Look] = field(default_factory=dict)
     dampers: Dampers = field(init=False)
     tasks: set[asyncio.Task[None]] = field(default_factory=set)
@@ -216,6 +229,44 @@ class Dashboard:
             judged = one.tests_damper if has_tests else bool(damper)
             self.queue.add(one.experiment.name, one.text, one.duration, damper=damper, batch=batch, tests_damper=judged)
         return f"the {len(found)} runs of {name} wait in the queue"
+
+    def diagnose_on_bench(self, model: str, budget: float) -> str:
+        """Let the bench record and diagnose in turn, while the queue waits; return one line.
+
+        Raises
+        ------
+        InputError
+            While a run of the queue, or another such diagnosis, is under way.
+        """
+        if self.bench_diagnosis.running:
+            raise InputError("the bench diagnoses already; wait for the end, or cancel it")
+        if self.queue.running is not None:
+            raise InputError(f"run {self.queue.running.number} is under way; wait for its end")
+        if self.bench.mode is Mode.FAULT:
+            raise InputError("the bench is in mode fault; reset the fault first")
+        folder = self.recordings.folder / f"diagnosis-{time.strftime('%Y%m%d-%H%M%S')}"
+        self.bench_diagnosis.begin(folder)
+        request = BenchDiagnosisRequest(model, budget, folder, self.bench_file)
+        task = asyncio.create_task(self._diagnose(request))
+        self.tasks.add(task)
+        task.add_done_callback(self.tasks.discard)
+        return f"the bench records and diagnoses; its files are in {folder}"
+
+    async def _diagnose(self, request: BenchDiagnosisRequest) -> None:
+        """Diagnose on the bench. The queue goes on afterwards, unless it waited before or somebody has stopped the bench."""
+        waited = self.queue.paused
+        self.queue.pause(WHY_PAUSED)
+        try:
+            outcome = await self.commands.diagnose(request, self.bench_diagnosis.progress)
+        except InputError as error:
+            outcome = BenchDiagnosisOutcome(False, str(error))
+        except Exception as error:  # else it would seem to go on for ever
+            outcome = BenchDiagnosisOutcome(False, f"{type(error).__name__}: {error}; please report this")
+        self.bench_diagnosis.end(outcome)
+        if outcome.success and not waited and self.queue.why == WHY_PAUSED:
+            self.queue.paused = False
+        self.recordings.expire()
+        self.audit.write("page", "diagnose on the bench", str(request.folder), self.bench_diagnosis.sentence)
 
     async def call(self, who: Visitor, name: str) -> Answer:
         """Make one of the requests `CALLS`. Whoever sees the page may end a run."""

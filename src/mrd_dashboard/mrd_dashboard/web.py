@@ -131,6 +131,17 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
         dashboard.audit.write(visitor(request.scope).name, "report", str(job.report), "sent")
         return _sandboxed(job.report)
 
+    @app.get("/bench_diagnosis/{name:path}")
+    def bench_diagnosis(name: str, request: Request) -> Response:
+        who = visitor(request.scope)
+        try:
+            file = dashboard.bench_diagnosis.page(name)
+        except InputError as error:
+            dashboard.audit.write(who.name, "report", name[:200], f"refused: {error}")
+            return PlainTextResponse(str(error), 404)
+        dashboard.audit.write(who.name, "report", str(file), "sent")
+        return _sandboxed(file)
+
     @app.get("/test/{name}/{test:path}")
     def test_file(name: str, test: str, request: Request) -> Response:
         who = visitor(request.scope)

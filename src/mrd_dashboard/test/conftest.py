@@ -10,9 +10,10 @@ from nicegui.testing import User, user_simulation
 
 from mrd_base import InputError
 from mrd_dashboard.audit import AuditLog
+from mrd_dashboard.bench_diagnosis import BenchDiagnosisOutcome, BenchDiagnosisRequest
 from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.control_right import ControlRight
-from mrd_dashboard.dashboard import Dashboard, Progress, RunOutcome, Visitor
+from mrd_dashboard.dashboard import Dashboard, Progress, RoundProgress, RunOutcome, Visitor
 from mrd_dashboard.jobs import Jobs
 from mrd_dashboard.pages.shell import page
 from mrd_dashboard.recordings import Recordings
@@ -35,6 +36,7 @@ class NotedCommands:
         self.asked: list[Any] = []
         self.kinds: list[Kind] = []
         self.refusal = ""
+        self.go_on = asyncio.Event()  # until then, a diagnosis on the bench records
 
     def emergency_stop(self) -> None:
         self.asked.append("emergency stop")
@@ -53,6 +55,20 @@ class NotedCommands:
         progress("running", 1.0)
         make_bag(bag)
         return RunOutcome(True, "12 samples in 0.1 s, none lost", str(bag))
+
+    async def diagnose(self, request: BenchDiagnosisRequest, progress: RoundProgress) -> BenchDiagnosisOutcome:
+        self.asked.append(request)
+        if self.refusal:
+            raise InputError(self.refusal)
+        progress(1, "recording large_random_current: running", 0.2, "")
+        await self.go_on.wait()
+        progress(2, "recording small_current: running", 0.1, "2 effects may be the cause.")
+        request.folder.mkdir(parents=True)
+        (request.folder / "diagnosis.html").write_text("<h1>Diagnosis on the bench</h1>")
+        return BenchDiagnosisOutcome(True, "The force sensor lags by 2 ms.", "Every cause that was found is certain.")
+
+    def cancel_diagnosis(self) -> None:
+        self.asked.append("cancel the diagnosis")
 
 
 def make_bag(path: Path) -> Path:

@@ -28,6 +28,7 @@ from mrd_base.nodes.graph import (
     CONTROL_STATE,
     DAQ_STATE,
     DAQ_TARE,
+    DIAGNOSE_ON_BENCH,
     DIAGNOSTICS,
     EMERGENCY_STOP,
     EXPERIMENT_STATE,
@@ -48,16 +49,17 @@ from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.config import SupervisorConfig
 from mrd_dashboard.access import read_credentials
 from mrd_dashboard.audit import AuditLog
+from mrd_dashboard.bench_diagnosis import BenchDiagnosisOutcome, BenchDiagnosisRequest
 from mrd_dashboard.bench_view import DAQ, SERVO, BenchView, NodeHealth
 from mrd_dashboard.control_right import ControlRight
-from mrd_dashboard.dashboard import Dashboard, Progress, RunOutcome
+from mrd_dashboard.dashboard import Dashboard, Progress, RoundProgress, RunOutcome
 from mrd_dashboard.guide import Guide
 from mrd_dashboard.jobs import Jobs
 from mrd_dashboard.recordings import Recordings
 from mrd_dashboard.run_queue import Kind, RunQueue
 from mrd_dashboard.server import PageServer
 from mrd_dashboard.workers import Workers
-from mrd_interfaces.action import RunExperiment
+from mrd_interfaces.action import DiagnoseOnBench, RunExperiment
 from mrd_interfaces.msg import BenchSamples, BenchState, ControlCycle, Lease, ServoState
 from mrd_trajectory.settings import read_settings
 
@@ -118,6 +120,8 @@ class RosCommands:
             kind: (action.name, action.client(node))
             for kind, action in {"identification": RUN_EXPERIMENT, "control": RUN_CONTROL}.items()
         }
+        self._diagnose = DIAGNOSE_ON_BENCH.client(node)
+        self._diagnosis: Any = None
         self._refusals: list[str] = []
         REFUSALS.subscription(node, lambda refusal: self._refusals.append(refusal.data))
 
@@ -156,6 +160,35 @@ class RosCommands:
         result = (await self._while_there(client, awaited)).result
         return RunOutcome(result.success, result.message, result.bag)
 
+    async def diagnose(self, request: BenchDiagnosisRequest, progress: RoundProgress) -> BenchDiagnosisOutcome:
+        """Send a diagnosis on the bench to the diagnoser, and return when it has ended."""
+        client = self._diagnose
+        if not client.server_is_ready():
+            raise InputError("the node diagnoser does not answer; start it: ros2 run mrd_diagnosis diagnoser")
+        self._refusals.clear()
+        goal = DiagnoseOnBench.Goal(
+            model=request.model, budget=request.budget, folder=str(request.folder.resolve()), bench=request.bench
+        )
+        loop = asyncio.get_running_loop()
+
+        def hear(message: Any) -> None:
+            heard = message.feedback
+            loop.call_soon_threadsafe(progress, heard.round, heard.stage, heard.fraction, heard.added)
+
+        sent = await self._in_executor(partial(client.send_goal_async, goal, feedback_callback=hear))
+        handle = await _answer(sent, _ANSWER_TIMEOUT, "the diagnosis")
+        if not handle.accepted:
+            raise InputError(await self._reason(DIAGNOSE_ON_BENCH.name))
+        self._diagnosis = handle
+        awaited = await self._in_executor(handle.get_result_async)
+        result = (await self._while_there(client, awaited)).result
+        return BenchDiagnosisOutcome(result.success, result.message or "the diagnoser failed; look at its log", result.why)
+
+    def cancel_diagnosis(self) -> None:
+        """End the diagnosis on the bench, and what it records."""
+        if self._diagnosis is not None and self._node.executor is not None:
+            self._node.executor.create_task(self._diagnosis.cancel_goal_async)
+
     async def _in_executor(self, work: Callable[[], Any]) -> Any:
         """Return the result of a function that the executor of the node calls.
 
@@ -190,7 +223,7 @@ class RosCommands:
             there = client.server_is_ready() and latest == supervisor
             missing = 0.0 if there else missing + _LOOK_PERIOD
         result.cancel()
-        raise InputError("the supervisor has gone in the run; look at its log, start the bench again, and try again")
+        raise InputError("a node of the bench has gone meanwhile; look at its log, start the bench again, and try again")
 
     async def _reason(self, action: str) -> str:
         prefix = f"{action}: "

@@ -16,6 +16,7 @@ from mrd_dashboard.guide_steps import check_recordings, start_step
 from mrd_dashboard.import_files import import_files
 from mrd_dashboard.jobs import Job
 from mrd_dashboard.pages.analysis import RecordingsField
+from mrd_dashboard.pages.bench_diagnosis import bench_diagnosis_card
 from mrd_dashboard.pages.notes import busy, tell
 from mrd_diagnosis.diagnose import BEST_MODEL
 from mrd_sim.models import MODELS
@@ -85,6 +86,7 @@ def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) ->
             predicted.classes("w-full").bind_value(form, "predicted").mark("guide-predicted")
         with _step(cards, "validate"):
             pass
+        on_bench = bench_diagnosis_card(dashboard, who)
 
     async def offer() -> None:
         if shown():
@@ -98,6 +100,7 @@ def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) ->
         jobs = {job.folder.name: job for job in dashboard.jobs.all}
         for step, card in cards.items():
             card.show(dashboard, step, jobs)
+        on_bench()
 
     for card in cards.values():
         card.cancel.on_click(cancel)

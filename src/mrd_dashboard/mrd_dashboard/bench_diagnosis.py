@@ -1,0 +1,100 @@
+"""A diagnosis on the bench, which records what it needs: how far it is, and what it has found."""
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mrd_base import InputError
+
+SHOWN = re.compile(r"diagnosis\.html|round_\d+/report/gap_report\.html")
+"""Pages that it writes, below its folder."""
+
+WHY_PAUSED = "while the bench diagnoses"
+
+
+@dataclass(frozen=True)
+class BenchDiagnosisRequest:
+    """What is asked for.
+
+    Attributes
+    ----------
+    model : str
+        Damper model, or ``auto`` for the one that predicts the recordings best.
+    budget : float
+        Bench time in s that the recordings may take.
+    folder : Path
+        Folder of recordings and reports.
+    bench : str
+        Parameter file of the bench, or "".
+    """
+
+    model: str
+    budget: float
+    folder: Path
+    bench: str
+
+
+@dataclass(frozen=True)
+class BenchDiagnosisOutcome:
+    """How it ended: whether it came to an end, the verdict or why there is none, and why it ended there."""
+
+    success: bool
+    message: str
+    why: str = ""
+
+
+@dataclass
+class BenchDiagnosis:
+    """The latest diagnosis on the bench.
+
+    Attributes
+    ----------
+    running : bool
+    round : int
+        From 1.
+    stage : str
+    share : float
+        Of the round that is done, 0 to 1.
+    added : list of str
+        What each round has added, the first round first.
+    sentence : str
+        How it ended.
+    folder : Path or None
+    """
+
+    running: bool = False
+    round: int = 0
+    stage: str = ""
+    share: float = 0.0
+    added: list[str] = field(default_factory=list)
+    sentence: str = ""
+    folder: Path | None = None
+
+    def begin(self, folder: Path) -> None:
+        """Begin a new one."""
+        self.running, self.round, self.stage, self.share = True, 1, "waiting for the bench", 0.0
+        self.added, self.sentence, self.folder = [], "", folder
+
+    def progress(self, number: int, stage: str, share: float, added: str) -> None:
+        """Note how far it is; ``added`` is what the round before this one has added."""
+        self.round, self.stage, self.share = number, stage, share
+        if added and len(self.added) < number - 1:
+            self.added.append(added)
+
+    def end(self, outcome: BenchDiagnosisOutcome) -> None:
+        """Note how it ended."""
+        self.running, self.stage = False, ""
+        self.sentence = " ".join(filter(None, (outcome.message, outcome.why)))
+
+    def page(self, name: str) -> Path:
+        """Return the file of one of its pages.
+
+        Raises
+        ------
+        InputError
+            For a page that it does not write, or has not written yet.
+        """
+        file = self.folder / name if self.folder and SHOWN.fullmatch(name) else None
+        if file is None or not file.is_file():
+            raise InputError(f"{name[:100]}: the latest diagnosis on the bench has no such page")
+        return file

@@ -1,0 +1,99 @@
+"""The diagnosis on the bench from the page: it holds the queue back, tells how far it is, and shows its report."""
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+from nicegui.testing import User
+
+from mrd_base import InputError
+from mrd_dashboard.bench_diagnosis import BenchDiagnosis, BenchDiagnosisOutcome
+from mrd_dashboard.dashboard import Dashboard, Visitor
+
+ANN = Visitor("a", "Ann")
+
+
+def test_the_queue_waits_while_the_bench_diagnoses_and_goes_on_afterwards(dashboard: Dashboard, commands: Any) -> None:
+    async def run() -> None:
+        dashboard.diagnose_on_bench("bouc_wen", 120.0)
+        await asyncio.sleep(0)
+        state = dashboard.bench_diagnosis
+        assert (state.running, state.round, state.stage) == (True, 1, "recording large_random_current: running")
+        dashboard.queue.add("sine", "name: sine", 3.0)
+        assert dashboard.queue.next() is None
+        assert "queue paused while the bench diagnoses" in dashboard.queue.sentence()
+        with pytest.raises(InputError, match="the bench diagnoses already"):
+            dashboard.diagnose_on_bench("bouc_wen", 120.0)
+        commands.go_on.set()
+        await asyncio.gather(*dashboard.tasks)
+        assert not state.running
+        assert state.added == ["2 effects may be the cause."]
+        assert state.sentence == "The force sensor lags by 2 ms. Every cause that was found is certain."
+        assert dashboard.queue.next() is not None
+        (asked,) = commands.asked
+        assert (asked.model, asked.budget, asked.bench) == ("bouc_wen", 120.0, dashboard.bench_file)
+
+    asyncio.run(run())
+
+
+def test_after_a_stop_or_a_refusal_the_queue_goes_on_waiting(dashboard: Dashboard, commands: Any) -> None:
+    async def run() -> None:
+        dashboard.diagnose_on_bench("auto", 120.0)
+        await asyncio.sleep(0)
+        dashboard.emergency_stop(ANN)
+        commands.go_on.set()
+        await asyncio.gather(*dashboard.tasks)
+        assert dashboard.queue.paused
+        assert dashboard.queue.why == "after a stop"
+        dashboard.queue.paused = False
+        commands.refusal = "the node diagnoser does not answer"
+        dashboard.diagnose_on_bench("auto", 120.0)
+        await asyncio.gather(*dashboard.tasks)
+        assert dashboard.bench_diagnosis.sentence == "the node diagnoser does not answer"
+        assert dashboard.queue.paused
+
+    asyncio.run(run())
+
+
+def test_a_run_of_the_queue_is_not_disturbed(dashboard: Dashboard) -> None:
+    run = dashboard.queue.add("sine", "name: sine", 3.0)
+    dashboard.queue.start(run.number, Path("bag"))
+    with pytest.raises(InputError, match=f"run {run.number} is under way; wait for its end"):
+        dashboard.diagnose_on_bench("auto", 120.0)
+
+
+def test_only_its_own_pages_are_shown(tmp_path: Path) -> None:
+    state = BenchDiagnosis()
+    with pytest.raises(InputError, match="has no such page"):
+        state.page("diagnosis.html")
+    state.begin(tmp_path)
+    (tmp_path / "secret.html").write_text("")
+    (tmp_path / "round_1/report").mkdir(parents=True)
+    for name in ("diagnosis.html", "round_1/report/gap_report.html"):
+        (tmp_path / name).write_text("")
+        assert state.page(name) == tmp_path / name
+    for name in ("secret.html", "../secret.html", "round_1/report/gap_report.json", "round_2/report/gap_report.html"):
+        with pytest.raises(InputError, match="has no such page"):
+            state.page(name)
+    state.end(BenchDiagnosisOutcome(False, "cancelled"))
+    assert state.sentence == "cancelled"
+
+
+def test_the_card_starts_it_and_tells_what_was_found(visit, dashboard: Dashboard, commands: Any) -> None:
+    async def work(user: User) -> None:
+        user.find("Guide").click()
+        user.find(marker="diagnose-on-bench").click()
+        await user.should_see("Take control")
+        assert not commands.asked
+        dashboard.control.take(ANN.session, ANN.name)
+        user.find(marker="diagnose-on-bench").click()
+        await user.should_see("round 1: recording large_random_current: running", retries=30)
+        user.find(marker="cancel-diagnosis").click()
+        await asyncio.sleep(0.1)
+        assert commands.asked[-1] == "cancel the diagnosis"
+        commands.go_on.set()
+        await user.should_see("The force sensor lags by 2 ms.", retries=30)
+        await user.should_see("Round 1: 2 effects may be the cause.")
+
+    visit(work)
