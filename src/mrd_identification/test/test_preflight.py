@@ -323,6 +323,13 @@ def test_aliasing(good):
     only_finding(preflight([switched]), "aliasing", "multisine", "current")
 
 
+@pytest.mark.parametrize("level", [0.0, 0.2])
+def test_the_noise_of_a_constant_current_is_no_switching(level):
+    run = simulated("multisine")
+    constant = measured(replace(run, current=np.full(len(run), level)))
+    assert not [finding for finding in preflight([constant]) if finding.kind == "aliasing"]
+
+
 # ---- Lag
 
 

@@ -316,7 +316,7 @@ def check_aliasing(checked: CheckedRun) -> Iterator[Finding]:
     span = float(np.subtract(*np.quantile(current, [0.99, 0.01])))
     share = (
         float(np.mean(np.abs(np.diff(current)) > SWITCHED_STEP * span))
-        if span > SWITCHED_SPAN * checked.scales.current
+        if checked.current_varies and span > SWITCHED_SPAN * checked.scales.current
         else 0.0
     )
     if share > SWITCHED_SHARE:
