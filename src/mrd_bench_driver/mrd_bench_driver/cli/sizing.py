@@ -46,7 +46,7 @@ def _work() -> None:
     table.add_column("remark")
     for row in compare(sizing):
         table.add_row(row.name, row.value, row.printed, row.remark)
-    print_table(table)
+    print_table(table, beneath={"remark"})
 
 
 def main() -> None:

@@ -47,7 +47,7 @@ def work() -> None:
         for check in open_checks:
             outcome, *cells = check_row(check, view)
             table.add_row(Text(outcome, _STYLES[check.outcome]), *cells)
-        print_table(table)
+        print_table(table, beneath={"conditions", "why"})
     print(acceptance.sentence)
     for limitation in characterisation.limitations if acceptance.verdict == "not_decided" else ():
         print(f"note: {limitation}")

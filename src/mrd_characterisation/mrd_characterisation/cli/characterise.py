@@ -125,4 +125,4 @@ def _print_rows(rows: Sequence[Sequence[str]]) -> None:
         table = Table(*rows[0])
         for row in rows[1:]:
             table.add_row(*row)
-        print_table(table)
+        print_table(table, beneath={"conditions"})

@@ -146,7 +146,7 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
     if diagnosis.candidates and nothing_removes(diagnosis):
         print(f"{len(diagnosis.candidates)} effects were tried; none removes more than {100 * LEAST_SHOWN:g} % of the gap.")
     elif diagnosis.candidates:
-        print_table(candidate_table(diagnosis))
+        print_table(candidate_table(diagnosis), beneath={"remark"})
         if diagnosis.held_out_by != "blocks":
             print("The table holds out segments of runs, the sentence at the top whole runs; their figures differ a little.")
         if len(diagnosis.candidates) > MOST_ROWS:

@@ -1,7 +1,6 @@
 """List the effects with their parameters."""
 
 import argparse
-import textwrap
 
 from rich.console import Console
 from rich.markup import escape
@@ -38,13 +37,13 @@ def work() -> None:
         return
     console = Console()
     if chosen is None:
-        print_table(table())
+        print_table(table(), beneath={"parameters"})
         console.print(f"One with its equation, parameters and what it looks like: {command('mrd_sim', 'effects')} EFFECT")
         return
     console.print(f"{chosen.title} ({chosen.id}), {chosen.stage}", highlight=False, style="bold")
     for clause in clauses(chosen.equation):
         console.print(f"    {clause}", highlight=False, markup=False)
-    print_table(parameters(chosen))
+    print_table(parameters(chosen), beneath={"meaning"})
     for name, text in (
         ("Shows as", chosen.signature),
         ("Where", where(chosen)),
@@ -65,10 +64,9 @@ def table() -> Table:
 
 def parameters(effect: Effect) -> Table:
     """Return a table of an effect's parameters."""
-    table = Table("parameter", "unit", "neutral", "bounds", "grow with", "clearly visible", show_lines=True)
+    table = Table("parameter", "unit", "neutral", "bounds", "grow with", "clearly visible", "meaning")
     for p in effect.parameters:
         typical = effect.typical.get(p.name, p.default)
-        named = f"{effect.id}.{p.name}"
-        meaning = "\n".join(textwrap.wrap(p.meaning, max(len(named), 30)))
-        table.add_row(f"{named}\n{escape(meaning)}", p.unit, f"{p.default:g}", interval(p), p.rule or "–", f"{typical:g}")
+        numbers = (p.unit, f"{p.default:g}", interval(p), p.rule or "–", f"{typical:g}")
+        table.add_row(f"{effect.id}.{p.name}", *numbers, escape(p.meaning))
     return table

@@ -42,7 +42,7 @@ def work() -> None:
     for clause in clauses(model.equation):
         console.print(f"    {clause}", highlight=False, markup=False)
     console.print(f"Source: {model.source}", highlight=False, markup=False)
-    print_table(parameters(model))
+    print_table(parameters(model), beneath={"meaning"})
     print_table(current_laws(model))
 
 

@@ -115,7 +115,7 @@ def _print_table(header: tuple[str, ...], *rows: tuple[str, ...]) -> None:
     table = Table(*header, box=None)
     for row in rows:
         table.add_row(*map(escape, row))
-    print_table(table)
+    print_table(table, beneath={"meaning", "purpose"})
 
 
 def _write_page(planned: Plan, file: Path, path: Path) -> None:

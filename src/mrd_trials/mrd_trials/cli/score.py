@@ -1,15 +1,20 @@
 """Open the sealed answers and score the verdicts."""
 
 import argparse
+from collections.abc import Iterable
 from pathlib import Path
 
+import rich.table
+from rich.text import Text
+
 from mrd_base import InputError, run_tool
+from mrd_base.console import print_table
 from mrd_trials.cli.options import add_answers, add_trial, add_workers, checked_workers, progress_bar, read_answers
 from mrd_trials.evaluate import evaluate_trial
 from mrd_trials.run import VERDICTS_FILE, read_verdicts
 from mrd_trials.scoring.report import write_score_report
 from mrd_trials.scoring.score import score_trial
-from mrd_trials.scoring.tables import markdown_tables
+from mrd_trials.scoring.tables import Table, markdown_tables, tabulate
 from mrd_trials.trial_folder import read_trial
 
 
@@ -28,6 +33,7 @@ def work() -> None:
     parser.add_argument("verdicts", type=Path, metavar="DIR", help="folder that run wrote; the score is written into it too")
     add_answers(parser)
     add_workers(parser)
+    parser.add_argument("--markdown", action="store_true", help="print the tables in Markdown")
     arguments = parser.parse_args()
     submissions = read_verdicts(arguments.verdicts / VERDICTS_FILE, read_trial(arguments.trial).plants)
     if not submissions:
@@ -40,5 +46,18 @@ def work() -> None:
             arguments.trial, answers, submissions, arguments.verdicts, checked_workers(arguments), show
         )
     score = score_trial(answers, submissions, evaluations)
-    print(markdown_tables(score))
+    if arguments.markdown:
+        print(markdown_tables(score))
+    else:
+        _print(tabulate(score))
     print(write_score_report(score, arguments.verdicts))
+
+
+def _print(tables: Iterable[Table]) -> None:
+    for table in tables:
+        print(table.title)
+        shown = rich.table.Table(*(rich.table.Column(Text(title)) for title in table.header), box=None)
+        for row in table.rows:
+            shown.add_row(*map(Text, row))
+        print_table(shown)
+        print(f"{table.note}\n" if table.note else "")
