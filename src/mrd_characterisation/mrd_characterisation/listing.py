@@ -89,5 +89,5 @@ def spreadsheet_row(value: Value, view: View) -> list[str | float | int | None]:
         view.unit(value.unit).symbol,
         value.cycles,
         value.runs,
-        value.definition,
+        view.restated(value.definition),
     ]

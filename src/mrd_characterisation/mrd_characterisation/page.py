@@ -47,20 +47,20 @@ def write_page(characterisations: Sequence[Characterisation], folder: str | Path
         "mrd_characterisation",
         files=sources,
         title=f"Characterisation of {' and '.join(one.name for one in characterisations)}",
-        sentence=first.sentence,
+        sentence=view.restated(first.sentence),
         signs=view.sentence,
         headline=[
             (value_row(value, view)[2], QUANTITIES[value.quantity].title)
             for name in HEADLINES
             for value in first.select(name)
         ],
-        limitations=[(one.name, text) for one in characterisations for text in one.limitations],
+        limitations=[(one.name, view.restated(text)) for one in characterisations for text in one.limitations],
         drawings=[(title, to_html(figure)) for title, figure in drawings],
         forces=force_table(characterisations, view),
         tables=[
             (
                 QUANTITIES[name].title,
-                list(dict.fromkeys(value.definition for value in values)),
+                list(dict.fromkeys(view.restated(value.definition) for value in values)),
                 [value_row(value, view)[1:] for value in values],
             )
             for name in QUANTITIES

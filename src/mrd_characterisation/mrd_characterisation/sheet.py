@@ -121,7 +121,7 @@ def make_sheet(
     else:
         head = ("number", "at", "value", "95 % interval", "cycles")
         rows = [_value_row(value, view) for name, most in _SHOWN.items() for value in _telling(damper.select(name), most)]
-        sentence = damper.sentence
+        sentence = view.restated(damper.sentence)
     left_out = (len(rows) if acceptance else len(damper.values)) - min(len(rows), MOST_ROWS)
     return Sheet(
         test.serial,

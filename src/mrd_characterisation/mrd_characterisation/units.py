@@ -1,5 +1,6 @@
 """How results are shown: the units, and the signs of force and motion."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -50,6 +51,14 @@ UNITS: Mapping[str, Mapping[str, Unit]] = {
 }
 """Units by system and SI unit; what is not listed is shown in SI."""
 
+_NUMBER = r"[-−]?\d[\d.]*(?:e[+-]?\d+)?"
+_SYMBOLS = {unit.symbol: si for si, unit in UNITS["si"].items()}
+_STATED = re.compile(
+    rf"((?:{_NUMBER}(?: to | and |, ))*{_NUMBER}) "
+    rf"({'|'.join(sorted(map(re.escape, _SYMBOLS), key=len, reverse=True))})(?![\w/])"
+)
+"""Numbers with a unit in a sentence, such as ``50 to 100 mm/s``."""
+
 
 @dataclass(frozen=True)
 class Orientation:
@@ -99,6 +108,23 @@ class View:
     def unit(self, si: str) -> Unit:
         """Return the unit in which quantities of an SI unit are shown."""
         return UNITS[self.units].get(si, Unit(si))
+
+    def restated(self, sentence: str) -> str:
+        """Return a sentence whose numbers have the units of the system ``si`` with numbers in the units of this view."""
+
+        def restate(stated: re.Match[str]) -> str:
+            numbers, symbol = stated.groups()
+            source, unit = UNITS["si"][_SYMBOLS[symbol]], self.unit(_SYMBOLS[symbol])
+            if unit == source:
+                return stated[0]
+
+            def convert(number: re.Match[str]) -> str:
+                value = float(number[0].replace("−", "-")) / source.factor - source.offset
+                return f"{unit.shown(value):.3g}"
+
+            return f"{re.sub(_NUMBER, convert, numbers)} {unit.symbol}"
+
+        return _STATED.sub(restate, sentence)
 
     @property
     def force(self) -> float:

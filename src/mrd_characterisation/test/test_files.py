@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 import sys
 from dataclasses import replace
 from datetime import datetime
@@ -17,6 +18,7 @@ from mrd_characterisation import View, characterise, read_characterisation, writ
 from mrd_characterisation.batch import read_batch
 from mrd_characterisation.characterisation_file import SCHEMA
 from mrd_characterisation.cli.characterise import main
+from mrd_characterisation.cli.options import errors_in
 from mrd_characterisation.listing import shown
 from mrd_characterisation.page import write_page
 from mrd_characterisation.units import UNITS
@@ -122,3 +124,44 @@ def test_the_tool_writes_all_and_refuses_what_it_cannot_use(simulated_damper, tm
             tool(*arguments)
         assert stopped.value.code == 2
         assert message in capsys.readouterr().err
+
+
+SI = re.compile(r"\d (?:mm|mm/s|N|N/mm|J)(?![\w/])")
+"""A number with a unit that `--units us` replaces."""
+
+
+def test_us_units_are_in_all_that_is_shown(simulated_damper, tmp_path, monkeypatch, capsys):
+    fast = [write(simulated_damper.sine("fast", 0.2, 0.4), tmp_path)]  # without slow strokes, so that there are limitations
+    whole = [write(run, tmp_path) for run in simulated_damper.set()]
+    for name, runs in (("fast", fast), ("whole", whole)):
+        folder = tmp_path / name
+        monkeypatch.setattr(sys, "argv", ["mrd characterise", *runs, "--units", "us", "--sheet", "--output", str(folder)])
+        main()
+        printed = capsys.readouterr().out
+        assert "in/s" in printed
+        assert not SI.search(printed), printed
+        assert not SI.search((folder / "characterisation.csv").read_text())
+        assert not SI.search(re.sub(r"<(script|style).*?</\1>", "", (folder / "sheet.html").read_text(), flags=re.DOTALL))
+        assert (
+            "mm" in json.dumps(json.loads((folder / "characterisation.json").read_text())["limitations"]) or name == "whole"
+        )
+
+
+def test_a_speed_that_was_not_recorded_is_refused_in_the_units_in_which_it_was_asked_for(simulated_damper):
+    with pytest.raises(InputError, match=r"the force at 90 in/s was not recorded"), errors_in(View("us")):
+        characterise(simulated_damper.set(), speeds=[90 * 0.0254])
+
+
+@pytest.mark.parametrize(
+    ("sentence", "restated"),
+    [
+        ("forces at 50.8 to 127 mm/s.", "forces at 2 to 5 in/s."),
+        ("strokes of 25.4 and 50.8 mm/s at 0.2 A", "strokes of 1 and 2 in/s at 0.2 A"),
+        ("(x = -2.54 mm) in 3 runs", "(x = -0.1 in) in 3 runs"),
+        ("15 mm, 444.82 N and 900 N s/m", "0.591 in, 100 lbf and 5.14 lbf s/in"),
+        ("6 ms, 3 of 4 numbers, 20 °C", "6 ms, 3 of 4 numbers, 68 °F"),
+    ],
+)
+def test_a_sentence_is_restated_in_us_units(sentence, restated):
+    assert View("us").restated(sentence) == restated
+    assert View("si").restated(sentence) == sentence

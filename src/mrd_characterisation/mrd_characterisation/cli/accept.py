@@ -11,7 +11,7 @@ from mrd_base.console import print_table
 from mrd_base.json_file import make_folder
 from mrd_characterisation.acceptance import HEAD, accept, characterise_for, check_row
 from mrd_characterisation.acceptance_file import diagnose_command, write_acceptance
-from mrd_characterisation.cli.options import add_serial, add_test_arguments, read_test, write_asked_sheet
+from mrd_characterisation.cli.options import add_serial, add_test_arguments, errors_in, read_test, write_asked_sheet
 from mrd_characterisation.reference import read_reference
 from mrd_characterisation.units import UNITS, View
 from mrd_runs import read_runs
@@ -36,9 +36,10 @@ def work() -> None:
     test = read_test(arguments, runs)
     folder = make_folder(arguments.output)
     characterisation = characterise_for(runs, reference.limits, test.serial)
-    acceptance = accept(
-        characterisation, reference.limits, test, reference=reference.text, golden_sources=reference.golden_sources
-    )
+    with errors_in(view):
+        acceptance = accept(
+            characterisation, reference.limits, test, reference=reference.text, golden_sources=reference.golden_sources
+        )
     overlaid = [characterisation, *([reference.golden] if reference.golden else [])]
     written = [write_acceptance(acceptance, folder), *write_asked_sheet(arguments, overlaid, test, folder, view, acceptance)]
     open_checks = [check for check in acceptance.by_outcome if check.outcome != "pass"]
@@ -50,7 +51,7 @@ def work() -> None:
         print_table(table, beneath={"conditions", "why"})
     print(acceptance.sentence)
     for limitation in characterisation.limitations if acceptance.verdict == "not_decided" else ():
-        print(f"note: {limitation}")
+        print(f"note: {view.restated(limitation)}")
     print(*written, sep="\n")
     if acceptance.verdict == "fail":
         print(f"To find the cause: {diagnose_command(acceptance, folder)}")

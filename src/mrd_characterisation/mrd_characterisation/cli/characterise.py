@@ -12,7 +12,7 @@ from mrd_base.json_file import make_folder
 from mrd_characterisation.characterisation import Characterisation
 from mrd_characterisation.characterisation_file import write_characterisation
 from mrd_characterisation.characterise import characterise
-from mrd_characterisation.cli.options import add_serial, add_test_arguments, read_test, write_asked_sheet
+from mrd_characterisation.cli.options import add_serial, add_test_arguments, errors_in, read_test, write_asked_sheet
 from mrd_characterisation.damper_test import checked_serial
 from mrd_characterisation.listing import HEAD, value_row
 from mrd_characterisation.page import HEADLINES, force_table, write_page
@@ -40,10 +40,11 @@ def work() -> None:
     for runs in groups:
         print(describe_runs(runs), file=sys.stderr, flush=True)
     test = read_test(arguments, groups[0])
-    characterisations = [
-        characterise(runs, name=name, speeds=speeds, round_to=1.0 / speed.factor)
-        for name, runs in zip([test.serial, *(name for name, _ in compared)], groups, strict=True)
-    ]
+    with errors_in(view):
+        characterisations = [
+            characterise(runs, name=name, speeds=speeds, round_to=1.0 / speed.factor)
+            for name, runs in zip([test.serial, *(name for name, _ in compared)], groups, strict=True)
+        ]
     paths = write_characterisation(characterisations[0], folder, view)
     for one in characterisations:
         _print(one, view)
@@ -112,12 +113,12 @@ def _numbers(text: str) -> list[float]:
 
 
 def _print(characterisation: Characterisation, view: View) -> None:
-    print(characterisation.sentence)
+    print(view.restated(characterisation.sentence))
     _print_rows(force_table([characterisation], view))
     rows = [value_row(value, view) for name in PRINTED for value in characterisation.select(name)]
     _print_rows([list(HEAD), *map(list, rows)] if rows else [])
     for text in characterisation.limitations:
-        print(f"note: {text}")
+        print(f"note: {view.restated(text)}")
 
 
 def _print_rows(rows: Sequence[Sequence[str]]) -> None:

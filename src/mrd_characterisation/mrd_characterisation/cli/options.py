@@ -1,7 +1,8 @@
 """Arguments that the tools for testing dampers share: which damper was tested, and its sheet."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from mrd_base import InputError
@@ -12,6 +13,15 @@ from mrd_characterisation.sheet import make_sheet
 from mrd_characterisation.sheet_file import PAPERS, write_sheet
 from mrd_characterisation.units import View
 from mrd_runs import Run
+
+
+@contextmanager
+def errors_in(view: View) -> Iterator[None]:
+    """State the numbers of an error in the units that were asked for, in which the arguments were given as well."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(view.restated(str(error))) from None
 
 
 def add_serial(parser: argparse.ArgumentParser) -> None:
