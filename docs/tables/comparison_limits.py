@@ -90,7 +90,10 @@ def main():
         adapted = force - columns @ np.linalg.lstsq(columns, force, rcond=None)[0]
         own = force - own_parameters(damper, recording)
         cells = [nrmse(e, force) for e in (error, adapted, own)] + [cycle_scatter(recording)]
-        print(f"| {recording.run.name} | {np.std(force):.0f} | {' | '.join(f'{cell:.3f}' for cell in cells)} |", flush=True)
+        print(
+            f"| {recording.run.name} | {np.std(force):.0f} | {' | '.join(f'{100 * cell:.1f} %' for cell in cells)} |",
+            flush=True,
+        )
         velocity, position = (s[recording.counted] for s in (recording.motion.velocity, 1e3 * recording.motion.position))
         loop.plot(velocity, force, ".", ms=1.5, color="#1f2933", label="measured")
         loop.plot(velocity, modelled, ".", ms=1.0, color="#d1495b", label="predicted")
@@ -98,7 +101,7 @@ def main():
         over_velocity.plot(velocity, own, ".", ms=1.0, color="#2a9d8f", label="with own parameters")
         over_position.plot(position, error, ".", ms=1.5, color="#1f2933")
         over_position.plot(position, own, ".", ms=1.0, color="#2a9d8f")
-        loop.set(title=f"{recording.run.name}: NRMSE {cells[0]:.3f}", xlabel="velocity, m/s", ylabel="force, N")
+        loop.set(title=f"{recording.run.name}: NRMSE {100 * cells[0]:.1f} %", xlabel="velocity, m/s", ylabel="force, N")
         over_velocity.set(title="measured minus modelled force", xlabel="velocity, m/s", ylabel="error, N")
         over_position.set(title="measured minus modelled force", xlabel="position, mm", ylabel="error, N")
         for axis in (loop, over_velocity):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_base.notebook import html_table, text_table
 from mrd_base.progress import ignore
+from mrd_base.quantities import per_cent
 from mrd_identification.fit import Fit
 from mrd_identification.identify import IdentificationTask, identify_all
 from mrd_identification.method import Method
@@ -97,7 +98,7 @@ class Comparison:
     units: int
 
     def __repr__(self) -> str:
-        return f"<Comparison of {len(self.entries)} models: {self.best.name} is best, NRMSE {self.best.nrmse:.4f}>"
+        return f"<Comparison of {len(self.entries)} models: {self.best.name} is best, NRMSE {per_cent(self.best.nrmse)}>"
 
     def _repr_html_(self) -> str:
         return html_table([_COLUMNS, *self._rows()])
@@ -117,7 +118,7 @@ class Comparison:
         return [
             (
                 entry.name,
-                f"{100 * entry.nrmse:.3g} %",
+                per_cent(entry.nrmse),
                 f"{100 * entry.lower:.3g} to {100 * entry.upper:.3g} %" if np.isfinite(entry.lower) else "not known",
                 str(entry.free),
                 "on par with the best" if entry.on_par else "",

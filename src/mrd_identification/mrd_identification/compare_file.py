@@ -7,6 +7,7 @@ from typing import Any
 import plotly.graph_objects as go
 
 from mrd_base.figures import ACCENT, LAYOUT, MEASURED, MODELLED, to_html
+from mrd_base.quantities import per_cent
 from mrd_identification import figures
 from mrd_identification.compare import Comparison
 from mrd_identification.fit_file import write_fit
@@ -64,18 +65,18 @@ def fit_folder(name: str) -> str:
 def sentence(comparison: Comparison) -> str:
     """Describe the comparison in one sentence."""
     best, simplest = comparison.best, comparison.simplest
-    text = f"{best.fit.model.title} ({best.name}) predicts the held-out force best: NRMSE {best.nrmse:.4f}"
+    text = f"{best.fit.model.title} ({best.name}) predicts the held-out force best: NRMSE {per_cent(best.nrmse)}"
     if math.isnan(best.lower):
         return (
             f"{text}. There are no intervals, because the held-out runs have only {comparison.units} independent segments; "
             "hold out more or longer runs."
         )
-    text += f" [{best.lower:.4f}, {best.upper:.4f}]"
+    text += f" ({_interval(best.lower, best.upper)})"
     if simplest is best:
         return f"{text} with {best.free} parameters; every simpler model is significantly worse."
     return (
         f"{text} with {best.free} parameters; {simplest.name} with {simplest.free} is not significantly "
-        f"worse: {simplest.nrmse:.4f} [{simplest.lower:.4f}, {simplest.upper:.4f}]."
+        f"worse: {per_cent(simplest.nrmse)} ({_interval(simplest.lower, simplest.upper)})."
     )
 
 
@@ -94,7 +95,7 @@ def error_chart(comparison: Comparison) -> go.Figure:
     names = [entry.name for entry in entries]
     figure = go.Figure(
         go.Scatter(
-            x=[entry.fit.pooled_fitted.nrmse for entry in entries],
+            x=[100.0 * entry.fit.pooled_fitted.nrmse for entry in entries],
             y=names,
             mode="markers",
             name="fitted runs",
@@ -102,14 +103,16 @@ def error_chart(comparison: Comparison) -> go.Figure:
         )
     )
     figure.add_scatter(
-        x=[entry.nrmse for entry in entries],
+        x=[100.0 * entry.nrmse for entry in entries],
         y=names,
         mode="markers",
         name="held-out runs" if math.isnan(entries[0].lower) else "held-out runs, 95 % interval",
         marker={"color": [ACCENT if entry.on_par else MODELLED for entry in entries], "size": 10},
-        error_x=figures.error_bars(*zip(*((e.nrmse - e.lower, e.upper - e.nrmse) for e in entries), strict=True)),
+        error_x=figures.error_bars(
+            *zip(*((100.0 * (e.nrmse - e.lower), 100.0 * (e.upper - e.nrmse)) for e in entries), strict=True)
+        ),
     )
-    figure.update_xaxes(title_text="NRMSE of the force", rangemode="tozero")
+    figure.update_xaxes(title_text="NRMSE of the force, %", rangemode="tozero")
     figure.update_yaxes(automargin=True)
     figure.update_layout(**LAYOUT, height=160 + 34 * len(entries))
     return figure
@@ -156,10 +159,10 @@ def ranking(comparison: Comparison) -> list[tuple[str, ...]]:
             (
                 entry.name,
                 str(entry.free),
-                f"{entry.nrmse:.4f}",
+                per_cent(entry.nrmse),
                 _interval(entry.lower, entry.upper),
                 "the best" if entry is comparison.best else difference,
-                f"{entry.fit.pooled_fitted.nrmse:.4f}",
+                per_cent(entry.fit.pooled_fitted.nrmse),
                 f"{entry.fit.elapsed:.0f}",
             )
         )
@@ -168,7 +171,7 @@ def ranking(comparison: Comparison) -> list[tuple[str, ...]]:
 
 def _interval(lower: float, upper: float) -> str:
     """Return an interval as text; "none" where the runs tell of none."""
-    return "none" if math.isnan(lower) else f"{lower:.4f} … {upper:.4f}"
+    return "none" if math.isnan(lower) else f"{per_cent(lower).removesuffix(' %')} to {per_cent(upper)}"
 
 
 def markdown(comparison: Comparison) -> str:

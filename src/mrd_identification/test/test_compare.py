@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
+from mrd_base.quantities import per_cent
 from mrd_identification import compare, identify
 from mrd_identification.compare_file import sentence, write_comparison
 from mrd_identification.json_file import read_schema
@@ -81,7 +82,7 @@ def test_files_follow_their_schema_and_the_page_needs_no_network(comparison, tmp
     jsonschema.validate(content, read_schema("mrd_identification", "compare"))
     table = (tmp_path / "compare.md").read_text()
     for model in content["models"]:
-        assert f"| `{model['name']}` | {model['free_parameters']} | {model['nrmse']['value']:.4f} |" in table
+        assert f"| `{model['name']}` | {model['free_parameters']} | {per_cent(model['nrmse']['value'])} |" in table
         jsonschema.validate(json.loads((tmp_path / model["fit"]).read_text()), read_schema("mrd_identification", "fit"))
         assert model["name"] in page
 
