@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from mrd_base import InputError, run_tool
-from mrd_runs import read_run
+from mrd_runs import read_runs
+from mrd_runs.formats import is_own
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.damper import Damper, parse_effects, parse_values
@@ -30,20 +31,22 @@ def work() -> None:
     """Parse the arguments, simulate, and write the CSV files."""
     arguments = _parser().parse_args()
     damper = _damper(arguments)
-    experiments = _experiments(Path(arguments.input))
-    plans = _plans(experiments, arguments.bench)
+    paths = [Path(entry) for entry in arguments.input]
+    plans = _plans(_experiments(paths), arguments.bench)
+    if arguments.noise and not plans:
+        raise InputError(f"--noise: {arguments.input[0]} was recorded and has its noise; give experiments")
+    names = list(plans)
     if arguments.noise:
-        if not experiments:
-            raise InputError(f"--noise: {arguments.input} was recorded and has its noise; give experiments")
-        rng = np.random.default_rng(arguments.seed)
-        runs = measure_plans(list(plans.values()), damper, rng)
-    elif experiments:
+        runs = measure_plans(list(plans.values()), damper, np.random.default_rng(arguments.seed))
+    elif plans:
         runs = [simulate_plan(planned, damper) for planned in plans.values()]
     else:
-        runs = [simulate_run(read_run(arguments.input), damper)]
+        recorded = read_runs(paths)
+        names = [run.name.replace("/", "_") for run in recorded]
+        runs = [simulate_run(run, damper) for run in recorded]
     files = [Path(arguments.output)]
-    if (Path(arguments.input).is_dir() and experiments) or len(plans) > 1:
-        files = [Path(arguments.output) / f"{name}.csv" for name in plans]
+    if len(runs) > 1 or any(path.is_dir() and not is_own(path) for path in paths):
+        files = [Path(arguments.output) / f"{name}.csv" for name in names]
     for run, file in zip(runs, files, strict=True):
         # A bench measures no velocity: the simulated one would be better than what can be known.
         write_csv(run, file, velocity=not arguments.noise)
@@ -64,11 +67,21 @@ def _damper(arguments: argparse.Namespace) -> Damper:
     return read_damper(arguments.plant).build(effects)
 
 
-def _experiments(path: Path) -> list[Path]:
-    """Return the experiments that a path names, in the order of their names; none where it is a recording."""
-    if path.is_dir() and not (path / "metadata.yaml").exists():
-        return sorted(path.glob("*.yaml"))
-    return [path] if path.suffix in {".yaml", ".yml"} else []
+def _experiments(paths: Sequence[Path]) -> list[Path]:
+    """Return the experiments that paths name, those of a folder in the order of their names; none for recordings."""
+    found = [
+        sorted(path.glob("*.yaml"))
+        if path.is_dir() and not is_own(path)
+        else [path]
+        if path.suffix in {".yaml", ".yml"}
+        else []
+        for path in paths
+    ]
+    if any(found) and not all(found):
+        raise InputError(
+            f"{paths[found.index([])]}: holds no experiment, as other inputs do; give experiments or recordings"
+        )
+    return [file for files in found for file in files]
 
 
 def _plans(experiments: Sequence[Path], bench: str | None) -> dict[str, Plan]:
@@ -80,6 +93,8 @@ def _plans(experiments: Sequence[Path], bench: str | None) -> dict[str, Plan]:
             found = read_experiments(file, settings)
             for experiment in found:
                 name = file.stem if len(found) == 1 else experiment.name
+                if name in plans:
+                    raise InputError(f"has the name {name}, as an experiment before; rename one of them")
                 plans[name] = plan(experiment, settings.limits, settings.force_envelope)
         except InputError as error:
             raise InputError(f"{file}: {str(error).removeprefix(f'{file}: ')}") from None
@@ -93,8 +108,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "input",
+        nargs="+",
         metavar="EXPERIMENT.yaml|TEST.yaml|FOLDER|RUN",
-        help="experiment, damper test, folder of them that follow each other, or bag, .mcap, .db3 or CSV",
+        help="experiments, damper tests, folders of them that follow each other; or recordings: bags, files, folders",
     )
     damper = parser.add_mutually_exclusive_group(required=True)
     damper.add_argument("--model", help=f"one of {', '.join(MODELS)}")
