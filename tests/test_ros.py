@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,8 @@ import rclpy
 import yaml
 from ament_index_python import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.action import ActionClient
 
-from mrd_base.nodes.graph import NODES, TOPICS
+from mrd_base.nodes.graph import ACTIONS, NODES, SERVICES, TOPICS
 from mrd_bench_driver.processes import ProcessSpec, bench_processes, find_executable
 from mrd_runs import read_run
 from mrd_runs.bag import read_bag
@@ -308,8 +307,9 @@ def commands(name: str) -> list[str]:
 @pytest.mark.realtime
 @pytest.mark.timeout(240)
 def test_the_bring_up_by_hand_works_as_it_is_written(tmp_path: Path) -> None:
-    """`ros2 service` and `ros2 action` are not among the wheels: rclpy does here what these lines say."""
-    (tmp_path / "config").symlink_to(ROOT / "config")
+    """The nodes are started as the page says, and the script of the page homes the rod and runs the experiment."""
+    for folder in ("config", "examples"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
     environment = {**os.environ, "HOME": str(tmp_path), "MRD_BENCH": str(share("config/bench.yaml"))}
     with contextlib.ExitStack() as stack:
         processes = []
@@ -329,36 +329,40 @@ def test_the_bring_up_by_hand_works_as_it_is_written(tmp_path: Path) -> None:
         node = rclpy.create_node("hand", context=context)
         executor = rclpy.executors.SingleThreadedExecutor(context=context)
         executor.add_node(node)
-
-        def until(done: Callable[[], Any], timeout: float = 90.0) -> None:
-            deadline = time.monotonic() + timeout
-            while not done():
-                assert [process.poll() for process in processes] == [None] * len(processes)
-                assert time.monotonic() < deadline
-                executor.spin_once(timeout_sec=0.05)
-
         up: set[str] = set()
         node.create_subscription(
             DiagnosticArray, "/diagnostics", lambda message: up.update(status.name for status in message.status), 10
         )
-        until(lambda: len(up) == len(processes))
-        call, goal, info = commands("calls by hand")
-        _, _, _, name, kind, text = shlex.split(call)
-        client = node.create_client(load(kind), name)
-        until(client.service_is_ready)
-        response = client.call_async(load(kind).Request(**yaml.safe_load(text)))
-        until(response.done)
-        assert response.result().success, response.result().message
-        _, _, _, _, name, kind, text = shlex.split(goal)
-        action = ActionClient(node, load(kind), name)
-        until(action.server_is_ready)
-        sent = action.send_goal_async(load(kind).Goal(**yaml.safe_load(text)))
-        until(sent.done)
-        assert sent.result().accepted
-        ended = sent.result().get_result_async()
-        until(ended.done, 150)
-        assert ended.result().result.success, ended.result().result.message
-        action.destroy()
+        deadline = time.monotonic() + 90.0
+        while len(up) < len(processes):
+            assert [process.poll() for process in processes] == [None] * len(processes)
+            assert time.monotonic() < deadline
+            executor.spin_once(timeout_sec=0.05)
         node.destroy_node()
-        told = subprocess.run(["bash", "-c", info], cwd=tmp_path, env=environment, capture_output=True, text=True)
-        assert told.returncode == 0, told.stderr
+        for line in commands("script by hand"):
+            done = subprocess.run(
+                ["bash", "-c", line], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=150
+            )
+            assert done.returncode == 0, f"{line}\n{done.stderr}"
+    assert " 0 lost" in done.stdout or "lost           │ 0 " in done.stdout
+
+
+def test_the_calls_of_an_installed_ros_say_what_the_script_does() -> None:
+    """`ros2 service` and `ros2 action` are not among the wheels: these lines are compared with the graph and the script."""
+    call, goal, _ = commands("calls by hand")
+    _, _, _, name, kind, text = shlex.split(call)
+    load(kind).Request(**yaml.safe_load(text))
+    assert name.removeprefix("/bench/") in {service.name for service in SERVICES}
+    _, _, _, _, name, kind, text = shlex.split(goal)
+    request = load(kind).Goal(**yaml.safe_load(text))
+    assert name.removeprefix("/bench/") in {action.name for action in ACTIONS}
+    assert shlex.split(commands("script by hand")[0])[2:] == [request.experiment, request.bag]
+
+
+def test_the_script_says_what_to_do_where_no_bench_runs() -> None:
+    script = [sys.executable, ROOT / "examples/run_experiment.py", "none.yaml", "none", "--timeout", "0.1"]
+    stopped = subprocess.run(script, capture_output=True, text=True, timeout=60)
+    assert (stopped.returncode, stopped.stderr) == (
+        1,
+        "error: no supervisor in /bench; start the nodes first (docs/ros.md)\n",
+    )

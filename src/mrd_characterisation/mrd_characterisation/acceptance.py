@@ -113,7 +113,7 @@ class Acceptance:
         words = {"fail": "failed", "not_decided": "not decided", "not_measured": "not measured", "pass": "passed"}
         listed = ", ".join(f"{counts[outcome]} {words[outcome]}" for outcome in OUTCOMES if counts[outcome])
         verdict = {"pass": "passes", "fail": "fails", "not_decided": "is not decided"}[self.verdict]
-        return f"{self.test.serial} {verdict} against {self.reference}: {listed} of {len(self.checks)} numbers."
+        return f"{self.test.serial} {verdict} against {self.reference}: of {len(self.checks)} numbers, {listed}."
 
     @property
     def by_outcome(self) -> list[Check]:

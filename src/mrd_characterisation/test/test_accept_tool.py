@@ -75,7 +75,7 @@ def test_what_limits_ask_for_and_runs_do_not_show_is_no_pass(shelf, tmp_path, mo
     arguments = (*runs_of(shelf / "SN-good"), "--reference", limits, "--serial", "SN-2", "--units", "us", "--sheet")
     assert call(monkeypatch, *arguments, "--output", tmp_path / "out") == 1
     printed = capsys.readouterr().out
-    assert "SN-2 is not decided against the limits of limits.yaml: 1 not measured, 1 passed of 2 numbers." in printed
+    assert "SN-2 is not decided against the limits of limits.yaml: of 2 numbers, 1 not measured, 1 passed." in printed
     assert "mrd diagnose" not in printed
     assert (tmp_path / "out/sheet.pdf").exists()
 

@@ -59,7 +59,7 @@ def test_what_is_not_measured_is_no_pass_and_one_failure_fails():
     assert judged([value(100.0)], [good]).verdict == "pass"
     acceptance = judged([value(100.0)], [good, missing])
     assert acceptance.verdict == "not_decided"
-    assert "1 not measured, 1 passed of 2 numbers" in acceptance.sentence
+    assert "of 2 numbers, 1 not measured, 1 passed" in acceptance.sentence
     assert "not recorded" in acceptance.summary()
     assert judged([value(100.0)], [good, missing, bad]).verdict == "fail"
     assert "<table>" in acceptance._repr_html_()

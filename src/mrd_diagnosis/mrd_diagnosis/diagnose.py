@@ -46,8 +46,8 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 NOTE_ON_CHANGE = (
-    "The gap is the change since the reference runs. What the model lacks in these runs and in those alike is taken up by a "
-    "flexible function of motion, current and force; the rest of the error counts as noise."
+    "The gap is the change since the reference runs. What the model lacks in both sets alike is described by a free "
+    "correction (a flexible function of motion, current and force); the rest of the error counts as noise."
 )
 
 NOTE_ON_SINGLE_RUNS = (

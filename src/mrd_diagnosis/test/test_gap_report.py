@@ -453,6 +453,14 @@ def test_what_removes_nothing_needs_no_table(capsys, tmp_path):
     assert not page_content(diagnosis)["comparison"]["candidates"]
 
 
+def test_without_a_gap_no_table_says_how_much_of_it_effects_remove(capsys, tmp_path):
+    diagnosis = diagnosed("no_gap")
+    print_summary(diagnosis, write_gap_report(diagnosis, tmp_path))
+    output = capsys.readouterr().out
+    assert f"{len(diagnosis.candidates)} effects were tried. None is needed to explain the error." in output
+    assert "gap removed" not in output
+
+
 def test_an_effect_that_imitates_the_cause_is_called_so():
     diagnosis = diagnosed("explained")
     texts = {candidate.effects[0]: describe_candidate(diagnosis, candidate) for candidate in ordered_candidates(diagnosis)}
@@ -641,7 +649,7 @@ def test_the_chart_of_errors_shows_what_remains_beside_the_causes():
     freer = after - 0.08 * (before - floor)
     assert error["with the cause, and a freer form"] == pytest.approx(np.sqrt(freer), abs=1e-5)
     flexible = floor + (1 - 0.64) * (after - floor)
-    assert error["with the cause, and a flexible function"] == pytest.approx(np.sqrt(flexible), abs=1e-5)
+    assert error["with the cause, and a free correction"] == pytest.approx(np.sqrt(flexible), abs=1e-5)
     unknown = diagnosed("unknown_effect")
     assert "with a freer form" in figures.error_chart(unknown, unknown.gap).data[0].y
     explained = diagnosed("explained")

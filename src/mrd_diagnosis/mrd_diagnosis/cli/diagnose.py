@@ -143,12 +143,17 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
             print(f"  {meaning}")
     for finding in shown_findings(diagnosis):
         print(f"{finding.severity}: {finding.sentence}")
-    if diagnosis.candidates and nothing_removes(diagnosis):
+    if diagnosis.candidates and diagnosis.verdict == "no_gap":
+        print(f"{len(diagnosis.candidates)} effects were tried. None is needed to explain the error.")
+    elif diagnosis.candidates and nothing_removes(diagnosis):
         print(f"{len(diagnosis.candidates)} effects were tried; none removes more than {100 * LEAST_SHOWN:g} % of the gap.")
     elif diagnosis.candidates:
         print_table(candidate_table(diagnosis), beneath={"remark"})
         if diagnosis.held_out_by != "blocks":
-            print("The table holds out segments of runs, the sentence at the top whole runs; their figures differ a little.")
+            print(
+                "The figures of the table are for segments of runs that were not fitted, those at the top for whole runs; they "
+                "differ a little."
+            )
         if len(diagnosis.candidates) > MOST_ROWS:
             print(f"The table shows the best {MOST_ROWS} of {len(diagnosis.candidates)} candidates; the report lists all.")
     for note in diagnosis.notes:

@@ -27,7 +27,7 @@ MOST_CANDIDATES = 8
 """Candidates in the chart, as many as the terminal shows."""
 
 LEAST_SHARE = 0.01
-"""Share of the gap below which a flexible function removes nothing that is worth a bar or a note."""
+"""Share of the gap below which a free correction removes nothing that is worth a bar or a note."""
 
 MOST_SECONDS = 8.0
 """Longest segment of a run in a plot over time, in s; a longer one cannot be read."""
@@ -42,10 +42,10 @@ NO_DATA = "#d5dbe1"
 
 
 def error_chart(diagnosis: Diagnosis, gap: Gap) -> go.Figure:
-    """Draw the held-out error: as given, refitted, with the effects, with a freer form of the damper or a flexible function,
-    and of noise alone.
+    """Draw the held-out error: as given, refitted, with the effects, with a freer form of the damper or a
+    free correction, and of noise alone.
 
-    With a partly explained gap, the freer form and the flexible function stand beside the causes.
+    With a partly explained gap, the freer form and the free correction stand beside the causes.
     """
     floor = gap.noise_floor.value
     partly = diagnosis.verdict == "partly_explained"
@@ -64,7 +64,7 @@ def error_chart(diagnosis: Diagnosis, gap: Gap) -> go.Figure:
         ),
         (corrected, gap.after if corrected else Interval(np.nan), ACCENT),
         (f"{beside} a freer form", Interval(float(freer)), NEUTRAL),
-        (f"{beside} a flexible function", Interval(float(flexible)), NEUTRAL),
+        (f"{beside} a free correction", Interval(float(flexible)), NEUTRAL),
         ("noise alone", gap.noise_floor, NEUTRAL),
     ]
     shown = [row for row in rows if np.isfinite(row[1].value)][::-1]

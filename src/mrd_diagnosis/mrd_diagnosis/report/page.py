@@ -331,7 +331,7 @@ def _error_notes(diagnosis: Diagnosis, gap: Gap) -> list[str]:
     if label and np.isfinite(gap.closed_fraction.value):
         notes.append(f"{capitalised(removes)} {format_share(gap.closed_fraction)} of the gap.")
     if diagnosis.verdict not in ("no_gap", "partly_explained"):
-        notes.append(_flexible_function_note(diagnosis, gap))
+        notes.append(_check_note(diagnosis, gap))
     if gap.extrapolated is not None:
         notes.append(
             f"On the runs that go beyond the others in stroke, speed or current, {removes} "
@@ -342,20 +342,21 @@ def _error_notes(diagnosis: Diagnosis, gap: Gap) -> list[str]:
     return notes
 
 
-def _flexible_function_note(diagnosis: Diagnosis, gap: Gap) -> str:
+def _check_note(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the share of the gap, or of what remains of it, that is not random."""
     removed = gap.explainable_fraction >= figures.LEAST_SHARE
     share = format_share(gap.explainable_fraction) if removed else "nothing"
     partly = diagnosis.verdict == "partly_explained"
     error, of_what = ("remaining error", "it") if partly else ("error", "the gap")
     meaning = (
-        "this much repeats with motion and current, and is no noise. The formula of the true effect can remove more."
+        "So at least this share is no noise: it repeats with motion and current. An effect with the right formula can "
+        "remove more."
         if removed
-        else "the error does not repeat with motion and current."
+        else "So the error does not repeat with motion and current."
     )
     return (
-        f"As a check, a flexible function of motion, current and their past, fitted to the {error} alone, removes {share} "
-        f"of {of_what}: {meaning}"
+        "As a check, a free correction (a flexible function of motion, current and their past) was fitted to the "
+        f"{error} alone. On data that were not fitted, it removes {share} of {of_what}. {meaning}"
     )
 
 
@@ -388,7 +389,7 @@ def _remains(diagnosis: Diagnosis, gap: Gap) -> list[str]:
             )
         else:
             lines.append("None of the other damper models comes nearer to the recordings than this one without an effect.")
-    lines.append(_flexible_function_note(diagnosis, gap))
+    lines.append(_check_note(diagnosis, gap))
     return [line for line in lines if line]
 
 

@@ -98,8 +98,8 @@ def _no_change_sentence(gap: Gap) -> str:
     """Return the verdict that nothing has changed."""
     error, floor = format_error(gap.before.value), format_error(gap.noise_floor.value)
     return (
-        f"No change since the reference runs was found. A model of these and of the reference runs errs by {error} of the "
-        f"force's standard deviation, and by {floor} if it may differ between them."
+        "No change since the reference runs was found. A model that is the same before and after has an error of "
+        f"{error} of the force's standard deviation; a model that may differ between them has {floor}."
     )
 
 

@@ -1,6 +1,7 @@
 """Fit several damper models to the same recordings and rank them by held-out error."""
 
 import argparse
+import math
 
 from rich.table import Column, Table
 
@@ -94,7 +95,8 @@ def work() -> None:
     for row in ranking(comparison):
         table.add_row(*row)
     print_table(table)
-    print(f"The 95 % intervals come from a bootstrap over {comparison.units} {comparison.resampled}.")
+    if not math.isnan(comparison.best.lower):
+        print(f"The 95 % intervals come from a bootstrap over {comparison.units} {comparison.resampled}.")
     print(sentence(comparison))
     for text in selections(comparison):
         print(f"{text}.")
