@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -e -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help build demo demo-control test lint bench faults fuzz soak trials lock audit clean
+.PHONY: help build demo demo-control test lint bench faults fuzz soak trials site lock audit clean
 
 PACKAGES := $(patsubst src/%/,%,$(wildcard src/*/))
 TYPED := $(filter-out mrd_interfaces mrd_bringup,$(PACKAGES))
@@ -59,6 +59,10 @@ lock:  ## pin the newest packages that fit setup/*.in (needs uv)
 
 audit:  ## look up known vulnerabilities of the pinned packages (needs network)
 	@setup/audit
+
+site: build  ## build the documentation as a site (build/site), without network
+	@. ./env.sh; python -m sphinx --fail-on-warning --keep-going --fresh-env --quiet -c docs/site . build/site; \
+	echo "python -m http.server --directory build/site"
 
 clean:  ## remove everything that was made, except recorded runs
 	@rm -rf .venv .venv-audit build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis

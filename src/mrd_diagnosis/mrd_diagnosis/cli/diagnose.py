@@ -151,8 +151,8 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
         print_table(candidate_table(diagnosis), beneath={"remark"})
         if diagnosis.held_out_by != "blocks":
             print(
-                "The figures of the table are for segments of runs that were not fitted, those at the top for whole runs; they "
-                "differ a little."
+                "The figures of the table are for segments of runs that were not fitted, those at the top for whole runs; "
+                "they differ a little."
             )
         if len(diagnosis.candidates) > MOST_ROWS:
             print(f"The table shows the best {MOST_ROWS} of {len(diagnosis.candidates)} candidates; the report lists all.")
