@@ -6,12 +6,14 @@ import re
 import shlex
 import subprocess
 import sys
+import sysconfig
 import time
 import tomllib
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+import yaml
 
 from mrd_base.version import VERSION
 
@@ -25,9 +27,49 @@ def test_all_packages_but_the_driver_of_the_machine_are_shipped():
     assert packages - SHIPPED == {"mrd_interfaces", "mrd_bringup", "mrd_bench_driver", "mrd_dashboard"}
 
 
-def test_all_packages_have_the_version_of_the_distribution():
+def test_the_version_is_the_same_everywhere():
+    """`version.py` has it; the files that can hold nothing but a copy agree."""
     for file in ROOT.glob("src/*/package.xml"):
         assert ElementTree.parse(file).getroot().findtext("version") == VERSION, file
+    assert yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"] == VERSION
+    changes = re.findall(r"^## \[([\d.]+)\]", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert changes[0] == VERSION
+    assert changes == sorted(changes, key=lambda version: [-int(part) for part in version.split(".")])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_what_is_committed_makes_a_distribution_that_runs(tmp_path):
+    """An sdist of a clean copy, and a wheel of that sdist; the packages it needs are those of this environment."""
+    source, dist, site = tmp_path / "source", tmp_path / "dist", sysconfig.get_path("purelib")
+    source.mkdir()
+    archive = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, capture_output=True, check=True).stdout
+    subprocess.run(["tar", "-x", "-C", source], input=archive, check=True)
+    subprocess.run([sys.executable, "-m", "build", "--outdir", dist, source], check=True, capture_output=True)
+    (wheel,) = dist.glob("*.whl")
+    (sdist,) = dist.glob("*.tar.gz")
+    assert wheel.name.startswith(f"mrd_bench-{VERSION}-")
+    assert sdist.name == f"mrd_bench-{VERSION}.tar.gz"
+    venv = tmp_path / "venv"
+    subprocess.run([sys._base_executable, "-m", "venv", venv], check=True)
+    # A line of a .pth file brings the packages of that folder, but none that it links from elsewhere.
+    (own,) = venv.glob("lib/python3*/site-packages")
+    subprocess.run([venv / "bin/pip", "install", "--quiet", "--no-deps", wheel], check=True)
+    (own / "dependencies.pth").write_text(f"{site}\n")
+
+    def run(command: str) -> str:
+        environment = {"PATH": f"{venv / 'bin'}:/usr/bin:/bin", "HOME": str(tmp_path), "COLUMNS": "100"}
+        done = subprocess.run(shlex.split(command), cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+        return done.stdout
+
+    assert run("python -c 'import mrd_sim; print(mrd_sim.__file__)'").startswith(str(own))
+    assert run("mrd --version") == f"mrd {VERSION}\n"
+    assert "bouc_wen" in run("mrd models")
+    assert "2715" in run(f"mrd info {source}/examples/worn_joint/1_multisine.csv")
+    run(f"mrd simulate {source}/examples/experiments/4_fast_sine.yaml --model bingham --output fast.csv")
+    run("mrd plot fast.csv --output page")
+    assert (tmp_path / "page/plot.html").exists()
 
 
 @pytest.mark.parametrize("package", sorted(SHIPPED))
