@@ -61,7 +61,7 @@ audit:  ## look up known vulnerabilities of the pinned packages (needs network)
 	@setup/audit
 
 site: build  ## build the documentation as a site (build/site), without network
-	@. ./env.sh; python -m sphinx --fail-on-warning --keep-going --fresh-env --quiet -c docs/site . build/site; \
+	@. ./env.sh; python -m sphinx --fail-on-warning --fresh-env --quiet -c docs/site . build/site; \
 	echo "python -m http.server --directory build/site"
 
 clean:  ## remove everything that was made, except recorded runs

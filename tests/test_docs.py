@@ -2,12 +2,15 @@
 
 import argparse
 import json
+import os
 import re
 import shlex
 import shutil
 import subprocess
 import sys
+from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +30,27 @@ OWN_FILES = ("config/", "examples/", "docs/", "setup/", "benchmarks/")
 
 
 def commands(page: Path) -> list[str]:
-    """Return the commands in the code blocks of a page: indented, or behind `$` in a block of a console."""
+    """Return the commands in the code blocks of a page: indented, behind `$` in a console, or in a shell."""
     text = re.sub(r"\\\n\s*", "", page.read_text(encoding="utf-8"))
     lines = re.findall(r"^(?:    |\$ )((?:mrd|ros2 run|make|python) .*)$", text, re.MULTILINE)
+    for block in re.findall(r"^```(?:bash|sh)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        lines += re.findall(r"^(?:mrd|ros2 run|make|python) .*$", block, re.MULTILINE)
     return [line.partition("  #")[0].strip() for line in lines]
 
 
+def recipes() -> list[str]:
+    """Return the commands of the Makefile's targets, with the values of its variables."""
+    text = re.sub(r"\\\n\s*", "", MAKEFILE)
+    variables = dict(re.findall(r"^(\w+) \??= *(.*)$", text, re.MULTILINE))
+    text = re.sub(r"\$\(if \$\((\w+)\),(.*?\$\(\w+\))\)", r"\2", text)
+    for _ in range(2):  # a variable may name another
+        text = re.sub(r"\$\((\w+)\)", lambda named: variables.get(named[1], "FOLDER"), text)
+    return [line.strip() for line in re.findall(r"(?:ros2 run|python) [^;\"\n]+", text)]
+
+
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 COMMANDS = [(page.name, command) for page in PAGES for command in commands(page)]
+COMMANDS += [("Makefile", command) for command in recipes() if "$" not in command]
 
 
 class ParsedError(Exception):
@@ -42,32 +59,53 @@ class ParsedError(Exception):
 
 def test_the_pages_have_commands():
     assert len(COMMANDS) > 60
+    of_makefile = " ".join(command for page, command in COMMANDS if page == "Makefile")
+    for part in ("-m faults", "benchmarks/recorder.py", "fuzz/readers.py", "setup/demo.py", "mrd_trials score"):
+        assert part in of_makefile
     assert {"README.md", "first_hour.md", "diagnosis.md", "own_data.md"} <= {page for page, _ in COMMANDS}
+
+
+@cache
+def help_of(*script: str) -> str:
+    """Return what a script prints for `--help`."""
+    search = os.pathsep.join([str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")])
+    asked = [sys.executable, *script, "--help"]
+    done = subprocess.run(asked, capture_output=True, text=True, cwd=ROOT, env={**os.environ, "PYTHONPATH": search})
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 @pytest.mark.parametrize(("page", "command"), COMMANDS)
 def test_a_command_of_the_pages_is_one_of_its_tool(page, command, monkeypatch, tmp_path):
     """Each tool exists, takes these arguments, and the files of this repository that they name are there."""
-    words = shlex.split(command.partition(" > ")[0])
+    words = shlex.split(re.sub(r" \[[^]]*\]", "", command.partition(" > ")[0]))  # a page puts options in brackets
     for word in words:
         if word.startswith(OWN_FILES):
             assert list(ROOT.glob(word)), f"{page}: {word}"
     if words[0] == "make":
-        targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
-        assert words[1] in targets
+        targets = re.findall(r"^([a-z-]+):", MAKEFILE, re.MULTILINE)
+        assert words[1] in targets or "=" in words[1]
+        for variable in (word.partition("=")[0] for word in words[1:] if "=" in word):
+            assert variable == "PYTHON" or f"$({variable})" in MAKEFILE, f"{page}: {command}"
         return
     if words[0] == "python":
-        # A script may stand on the page itself.
-        assert words[1] == "-m" or (ROOT / words[1]).exists() or f"`{words[1]}`" in (ROOT / "docs" / page).read_text()
+        script = words[1:3] if words[1] == "-m" else [str(ROOT / words[1])]
+        if words[1] == "-m" and not (ROOT / "tests" / words[2]).exists():
+            assert find_spec(words[2]), f"{page}: {command}"
+        elif words[1] != "-m" and not (ROOT / words[1]).exists():  # a script may stand on the page itself
+            assert f"`{words[1]}`" in (ROOT / "docs" / page).read_text()
+        elif options := [word for word in words[len(script) + 1 :] if word.startswith("--")]:
+            shown = help_of(*script)
+            assert [option for option in options if option.partition("=")[0] not in shown] == [], f"{page}: {command}"
         return
     tool, arguments = (words[1], words[2:]) if words[0] == "mrd" else (words[3], words[4:])
     if words[0] == "mrd" and tool.startswith("-"):
         return
     if words[0] == "ros2":
         assert (ROOT / "install" / words[2] / "lib" / words[2] / tool).exists(), f"{page}: {command}"
-    entry = next((known for name, known in mrd.TOOLS.items() if name == tool), None)
-    if entry is None or "TOOL" in words:
-        return
+    module = mrd.TOOLS[tool].module if tool in mrd.TOOLS else f"{words[2]}.cli.{tool}"
+    if "TOOL" in words or not (ROOT / "src" / module.partition(".")[0] / f"{module.replace('.', '/')}.py").exists():
+        return  # a node, whose arguments are ROS's
     accept = argparse.ArgumentParser.parse_args
 
     def parse(parser, *given):
@@ -80,7 +118,7 @@ def test_a_command_of_the_pages_is_one_of_its_tool(page, command, monkeypatch, t
     monkeypatch.setattr("mrd_sim.cli.options.load_models", lambda _folder: None)
     monkeypatch.chdir(ROOT)
     with pytest.raises(ParsedError):
-        import_module(entry.module).main()
+        import_module(module).main()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

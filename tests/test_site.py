@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def build(folder: Path) -> Path:
-    options = ["--fail-on-warning", "--keep-going", "--fresh-env", "--quiet"]
+    options = ["--fail-on-warning", "--fresh-env", "--quiet"]
     built = subprocess.run(
         [sys.executable, "-m", "sphinx", *options, "-c", ROOT / "docs/site", "-d", f"{folder}.doctrees", ROOT, folder],
         capture_output=True,
