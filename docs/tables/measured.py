@@ -8,10 +8,10 @@ Prints the table of docs/diagnosis_measured.md, and writes the reports on all ru
 import argparse
 from pathlib import Path
 
+from mrd_base.json_file import make_folder
 from mrd_diagnosis import diagnose, write_gap_report
 from mrd_diagnosis.diagnosis import Diagnosis
 from mrd_diagnosis.wording.quantities import format_share
-from mrd_identification.json_file import make_folder
 from mrd_runs import read_runs
 
 DAMPERS = {"utfpr": "UTFPR, shaking table", "utfsm": "UTFSM, press"}

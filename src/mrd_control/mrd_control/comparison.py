@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from mrd_base.figures import HALF, LAYOUT, MEASURED, MODELLED, to_html
+from mrd_base.json_file import finite_or_none, make_folder, write_json
 from mrd_control.experiment import ControlExperiment
 from mrd_control.explanation import PARAMETERS, TRACKING, Explanation, explain_difference
 from mrd_control.loop import LoopResult
@@ -18,7 +19,6 @@ from mrd_control.recording import DEADLINE, HybridRun
 from mrd_control.ride import METRICS, Ride, ride_metrics
 from mrd_control.tracking import Tracking, tracking
 from mrd_control.twin import run_twin
-from mrd_identification.json_file import finite_or_none, make_folder, write_json
 from mrd_identification.report import render
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS

@@ -8,12 +8,12 @@ from typing import Any
 
 from mrd_base import to_mapping
 from mrd_base.figures import HALF, to_html
+from mrd_base.json_file import finite_or_none, write_json
 from mrd_base.quantities import quantity
 from mrd_control import figures
 from mrd_control.evaluation import Entry, Evaluation, GainFront, comfort
 from mrd_control.laws import LAWS
 from mrd_control.systems import SYSTEMS
-from mrd_identification.json_file import finite_or_none, write_json
 from mrd_identification.report import render
 
 SCHEMA = "mrd-evaluation/2"

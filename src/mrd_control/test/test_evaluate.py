@@ -11,6 +11,7 @@ import pytest
 from distributed import LocalCluster
 
 from mrd_base import InputError
+from mrd_base.json_file import read_schema
 from mrd_control.cli.evaluate import _parser, _read_dampers, main
 from mrd_control.evaluation import Candidate, Conditions, evaluate, optimise_gains, parse_candidate
 from mrd_control.excitations import GroundMotion, Road
@@ -18,7 +19,6 @@ from mrd_control.figures import trade_off
 from mrd_control.laws import LAWS
 from mrd_control.report import columns, rows, sentence, write_evaluation
 from mrd_control.systems import QuarterCar, ShearBuilding
-from mrd_identification.json_file import read_schema
 from mrd_sim.damper import Damper
 from mrd_sim.plant import read_damper
 

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError
+from mrd_base.json_file import read_schema
 from mrd_diagnosis.cli.diagnose import print_summary
 from mrd_diagnosis.decision.explanation import list_alternatives
 from mrd_diagnosis.diagnosis import (
@@ -49,7 +50,6 @@ from mrd_diagnosis.report.sentences import corrected_label, next_command, next_s
 from mrd_diagnosis.wording.effect_names import effect_clause
 from mrd_diagnosis.wording.quantities import format_error, format_p_value, format_probability, format_quantity, format_share
 from mrd_identification.correction import correction_of_report
-from mrd_identification.json_file import read_schema
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import Problem
 from mrd_identification.recording import prepare_recording

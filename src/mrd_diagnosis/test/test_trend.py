@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
+from mrd_base.json_file import read_schema
 from mrd_diagnosis.cli import trend as tool
 from mrd_diagnosis.trend.calendar import make_calendar
 from mrd_diagnosis.trend.dated_fit import make_dated_problem
 from mrd_diagnosis.trend.trend import trend
 from mrd_diagnosis.trend.trend_file import to_json, write_trend
 from mrd_diagnosis.trend.trend_line import fit_trend_line
-from mrd_identification.json_file import read_schema
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run

@@ -7,11 +7,11 @@ from typing import Any
 import plotly.graph_objects as go
 
 from mrd_base.figures import ACCENT, LAYOUT, MEASURED, MODELLED, to_html
+from mrd_base.json_file import finite_or_none, write_json
 from mrd_base.quantities import per_cent
 from mrd_identification import figures
 from mrd_identification.compare import Comparison
 from mrd_identification.fit_file import write_fit
-from mrd_identification.json_file import finite_or_none, write_json
 from mrd_identification.report import diagnose_command, render
 from mrd_identification.run_panels import closer_look
 

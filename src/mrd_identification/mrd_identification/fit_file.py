@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from mrd_base import InputError
+from mrd_base.json_file import finite_or_none, read_json, write_json
 from mrd_identification.effect_selection import AddedEffect, Selection
 from mrd_identification.fit import Estimate, Fit
-from mrd_identification.json_file import finite_or_none, read_json, run_json, versions, write_json
 from mrd_identification.metrics import Metrics
+from mrd_identification.versions import versions
+from mrd_runs.summary import run_json
 
 SCHEMA = "mrd-fit/6"
 

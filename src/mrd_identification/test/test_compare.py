@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
+from mrd_base.json_file import read_schema
 from mrd_base.quantities import per_cent
 from mrd_identification import compare, identify
 from mrd_identification.compare_file import sentence, write_comparison
-from mrd_identification.json_file import read_schema
 from mrd_runs import Run
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path

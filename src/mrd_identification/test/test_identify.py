@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
+from mrd_base.json_file import make_folder
 from mrd_base.quantities import per_cent, quantity
 from mrd_base.version import VERSION
 from mrd_identification import figures, identify, load_damper, metrics, read_fit, write_fit
-from mrd_identification.json_file import make_folder
 from mrd_identification.nsga2 import find_knee
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import consecutive_modelled_forces, prepare_recording

@@ -9,6 +9,7 @@ from rich.table import Column, Table
 
 from mrd_base import InputError, run_tool
 from mrd_base.console import print_table
+from mrd_base.json_file import make_folder
 from mrd_base.progress import shown_progress
 from mrd_control.controller import Actuator
 from mrd_control.evaluation import Candidate, Conditions, evaluate, optimise_gains, parse_candidate
@@ -19,7 +20,6 @@ from mrd_control.prediction import PREDICTORS
 from mrd_control.report import columns, knee_columns, knee_rows, rows, sentence, write_evaluation
 from mrd_control.systems import SYSTEMS, System, read_system
 from mrd_identification.export import load_damper
-from mrd_identification.json_file import make_folder
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.damper import Damper, parse_values
 from mrd_sim.models import MODELS

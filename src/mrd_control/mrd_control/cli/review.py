@@ -3,11 +3,11 @@
 import argparse
 
 from mrd_base import run_tool
+from mrd_base.json_file import make_folder
 from mrd_base.tool import command
 from mrd_control.comparison import Comparison, compare_with_twin, write_comparison
 from mrd_control.recording import read_hybrid_run
 from mrd_identification.export import load_damper
-from mrd_identification.json_file import make_folder
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ from rich.table import Table
 
 from mrd_base import FaultError, InputError, run_tool
 from mrd_base.console import print_table
+from mrd_base.json_file import make_folder
 from mrd_base.progress import shown_progress
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
@@ -23,7 +24,6 @@ from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.report.sentences import next_command, next_step, placeholders
 from mrd_identification.cli.options import add_run_arguments, announce, read_arguments_runs
 from mrd_identification.fit_file import read_fit
-from mrd_identification.json_file import make_folder
 from mrd_identification.preflight.finding import Finding
 from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mrd_base import InputError, run_tool
+from mrd_base.json_file import make_folder
 from mrd_base.progress import shown_progress
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.page import write_gap_report
@@ -16,7 +17,6 @@ from mrd_diagnosis.trend.trend_file import write_trend
 from mrd_identification.cli.options import announce
 from mrd_identification.correction import correction_of_report
 from mrd_identification.fit_file import StoredFit, read_fit
-from mrd_identification.json_file import make_folder
 from mrd_runs import Run, read_runs
 from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder

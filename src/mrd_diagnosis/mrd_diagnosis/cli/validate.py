@@ -4,12 +4,12 @@ import argparse
 import sys
 
 from mrd_base import InputError, run_tool
+from mrd_base.json_file import make_folder
 from mrd_diagnosis.report.validation_page import validation_sentence, write_validation
 from mrd_diagnosis.validation.validate import validate
 from mrd_identification.cli.options import add_anyway, add_reading_arguments, announce, look_at_runs
 from mrd_identification.export import load_damper
 from mrd_identification.fit_file import fitted_sources
-from mrd_identification.json_file import make_folder
 from mrd_identification.low_pass import with_force_filters
 from mrd_runs import Run, read_runs
 from mrd_runs.read import describe_runs

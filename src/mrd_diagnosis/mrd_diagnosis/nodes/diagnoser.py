@@ -9,6 +9,7 @@ from typing import Any
 from rclpy.executors import SingleThreadedExecutor
 
 from mrd_base import InputError
+from mrd_base.json_file import make_folder
 from mrd_base.nodes.bench_node import run_node
 from mrd_base.nodes.graph import DIAGNOSE, DIAGNOSE_ON_BENCH, RUN_SET
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
@@ -19,7 +20,6 @@ from mrd_diagnosis.sequential.recorded import folder_of_round, missing_plans, re
 from mrd_diagnosis.sequential.report import write_sequential_report
 from mrd_diagnosis.sequential.sequential import BUDGET, Round, diagnose_sequentially
 from mrd_identification.fit_file import read_fit
-from mrd_identification.json_file import make_folder
 from mrd_identification.low_pass import with_force_filters
 from mrd_interfaces.action import Diagnose, DiagnoseOnBench
 from mrd_runs import Run, read_runs

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base.json_file import finite_or_none, read_json, write_json
 from mrd_diagnosis.diagnosis import (
     Advice,
     Alternative,
@@ -25,8 +26,9 @@ from mrd_diagnosis.diagnosis import (
 )
 from mrd_diagnosis.evidence.cause_class import class_name
 from mrd_diagnosis.wording.effect_names import parameters_of_effect
-from mrd_identification.json_file import finite_or_none, read_json, run_json, versions, write_json
 from mrd_identification.metrics import nrmse
+from mrd_identification.versions import versions
+from mrd_runs.summary import run_json
 from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base.figures import HALF, NARROW, to_html
+from mrd_base.json_file import make_folder
 from mrd_diagnosis.diagnosis import (
     Advice,
     Cause,
@@ -50,7 +51,6 @@ from mrd_diagnosis.wording.quantities import (
     format_share,
     join_words,
 )
-from mrd_identification.json_file import make_folder
 from mrd_identification.metrics import nrmse
 from mrd_identification.report import render
 from mrd_identification.run_panels import closer_look

@@ -6,13 +6,15 @@ from typing import Any
 import numpy as np
 
 from mrd_base.figures import MOST_POINTS, to_html
+from mrd_base.json_file import finite_or_none, make_folder, write_json
 from mrd_diagnosis.localisation.sentence import place_sentence
 from mrd_diagnosis.validation.validate import ValidatedRun, Validation
 from mrd_diagnosis.wording.quantities import format_error, format_quantity
 from mrd_identification import figures
-from mrd_identification.json_file import finite_or_none, make_folder, run_json, versions, write_json
 from mrd_identification.report import MOST_RUNS, POINTS, render
 from mrd_identification.run_panels import closer_look
+from mrd_identification.versions import versions
+from mrd_runs.summary import run_json
 
 SCHEMA = "mrd-validation/1"
 

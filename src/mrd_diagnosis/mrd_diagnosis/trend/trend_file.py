@@ -4,14 +4,16 @@ from pathlib import Path
 from typing import Any
 
 from mrd_base.figures import to_html
+from mrd_base.json_file import finite_or_none, write_json
 from mrd_base.tool import command
 from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.trend.figure import trend_figure
 from mrd_diagnosis.trend.trend import Trend
 from mrd_diagnosis.trend.trend_line import CHANGE_ALPHA
-from mrd_identification.json_file import finite_or_none, run_json, versions, write_json
 from mrd_identification.report import render
+from mrd_identification.versions import versions
 from mrd_runs.read import run_arguments
+from mrd_runs.summary import run_json
 from mrd_sim.own import model_arguments
 
 SCHEMA = "mrd-trend/2"

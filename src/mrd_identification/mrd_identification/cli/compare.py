@@ -7,6 +7,7 @@ from rich.table import Column, Table
 
 from mrd_base import InputError, run_tool
 from mrd_base.console import print_table
+from mrd_base.json_file import make_folder
 from mrd_base.progress import shown_progress
 from mrd_identification.cli.options import (
     add_anyway,
@@ -19,7 +20,6 @@ from mrd_identification.cli.options import (
 )
 from mrd_identification.compare import compare, parse_row
 from mrd_identification.compare_file import COLUMNS, fit_folder, ranking, selections, sentence, write_comparison
-from mrd_identification.json_file import make_folder
 from mrd_identification.method import Method
 from mrd_runs.read import describe_runs
 from mrd_sim.models import MODELS

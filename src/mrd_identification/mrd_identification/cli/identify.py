@@ -4,6 +4,7 @@ import argparse
 import math
 
 from mrd_base import run_tool
+from mrd_base.json_file import make_folder
 from mrd_base.progress import shown_progress
 from mrd_base.quantities import per_cent
 from mrd_identification.cli.options import (
@@ -17,7 +18,6 @@ from mrd_identification.cli.options import (
 )
 from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
-from mrd_identification.json_file import make_folder
 from mrd_identification.report import next_command, write_report
 from mrd_runs.read import describe_runs
 from mrd_sim.models import MODELS, find_model

@@ -5,9 +5,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from mrd_base import InputError, run_tool
+from mrd_base.json_file import make_folder
 from mrd_identification.cli.options import add_reading_arguments
 from mrd_identification.export import load_damper
-from mrd_identification.json_file import make_folder
 from mrd_identification.low_pass import with_force_filters
 from mrd_identification.plot import write_plot
 from mrd_runs import read_runs

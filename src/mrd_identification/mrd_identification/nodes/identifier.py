@@ -7,12 +7,12 @@ from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
 
+from mrd_base.json_file import make_folder
 from mrd_base.nodes.bench_node import run_node
 from mrd_base.nodes.graph import IDENTIFY
 from mrd_identification.fit import Fit
 from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
-from mrd_identification.json_file import make_folder
 from mrd_identification.low_pass import with_force_filters
 from mrd_identification.method import Method, parse_method
 from mrd_identification.report import write_report

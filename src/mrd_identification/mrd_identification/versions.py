@@ -1,12 +1,8 @@
-"""JSON result files (`mrd_base.json_file`), and what they say of runs and versions."""
+"""The versions of this software and of the libraries that it computes with, for result files."""
 
 from importlib import metadata
 
-from mrd_base.json_file import finite_or_none, make_folder, read_json, read_schema, write_json
 from mrd_base.version import VERSION
-from mrd_runs.summary import run_json
-
-__all__ = ["finite_or_none", "make_folder", "read_json", "read_schema", "run_json", "versions", "write_json"]
 
 
 def versions(*others: str) -> dict[str, str]:
