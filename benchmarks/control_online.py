@@ -25,6 +25,8 @@ from mrd_base import BenchClock
 from mrd_base.domain import claim_domain
 from mrd_base.nodes.bench_node import seconds
 from mrd_base.nodes.graph import CONTROL_STATE, LOAD_CONTROL, SAMPLES, SETPOINT, START_CONTROL
+from mrd_base.workers import ending_with_parent
+from mrd_bench_driver.processes import find_executable
 from mrd_control.experiment import ControlExperiment, format_control_experiment, read_control_experiment
 
 SHIPPED = Path(__file__).resolve().parents[1] / "config/control/hybrid_test.yaml"
@@ -122,13 +124,14 @@ def main() -> None:
     # A late setpoint shall count here, and not end the run.
     limits = ["-p", "deadline_ms:=100.0", "-p", "stale_ms:=130.0"]
     controller = subprocess.Popen(
-        ["ros2", "run", "mrd_control", "controller", "--ros-args", *limits], stderr=subprocess.DEVNULL
+        ending_with_parent([str(find_executable("mrd_control", "controller")), "--ros-args", *limits]),
+        stderr=subprocess.DEVNULL,
     )
     publisher = None
     try:
         listener.call(LOAD_CONTROL, experiment=format_control_experiment(experiment))
         command = [sys.executable, __file__, "--publish", "--duration", f"{arguments.duration + 10:g}"]
-        publisher = subprocess.Popen(command)
+        publisher = subprocess.Popen(ending_with_parent(command))
         while not listener.node.get_publishers_info_by_topic(SAMPLES.name):
             listener.spin(0.1)
         listener.spin(2.0)

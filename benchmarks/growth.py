@@ -19,6 +19,7 @@ import numpy as np
 from common import Array, console, describe_machine, measure_time, sampled
 from rich.table import Table
 
+from mrd_base.workers import ending_with_parent
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
@@ -58,7 +59,7 @@ def _peak() -> int:
 
 def measure_in_new_process(samples: int, candidates: int) -> dict[str, float]:
     """Measure one point in a new process; the lesser value of two attempts counts."""
-    command = [sys.executable, __file__, "--point", str(samples), str(candidates)]
+    command = ending_with_parent([sys.executable, __file__, "--point", str(samples), str(candidates)])
     points = [json.loads(subprocess.run(command, check=True, capture_output=True).stdout) for _ in range(2)]
     return {key: min(point[key] for point in points) for key in ("seconds", "bytes")}
 

@@ -26,6 +26,8 @@ from rclpy.executors import SingleThreadedExecutor
 from mrd_base import BenchClock
 from mrd_base.domain import claim_domain
 from mrd_base.nodes.bench_node import RECORDED
+from mrd_base.workers import ending_with_parent
+from mrd_bench_driver.processes import find_executable
 from mrd_interfaces.msg import BenchSamples, ServoState, Setpoint
 from mrd_interfaces.srv import StartRecording, StopRecording
 from mrd_runs.bag import read_bag
@@ -104,8 +106,8 @@ class Bench:
 @contextmanager
 def recorder(start: str) -> Iterator[subprocess.Popen[bytes]]:
     """Run a recorder that is started by a service of this name; ROS takes a killed one for alive for some time."""
-    command = ["ros2", "run", "mrd_runs", "recorder", "--ros-args", "-r", f"start_recording:={start}"]
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+    command = [str(find_executable("mrd_runs", "recorder")), "--ros-args", "-r", f"start_recording:={start}"]
+    with subprocess.Popen(ending_with_parent(command), stderr=subprocess.DEVNULL) as process:
         try:
             yield process
         finally:

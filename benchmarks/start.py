@@ -10,6 +10,8 @@ import time
 from common import console, describe_machine, format_duration
 from rich.table import Table
 
+from mrd_base.workers import ending_with_parent
+
 STARTS = 5
 FIRST_USE = """
 import time; began = time.perf_counter()
@@ -35,7 +37,9 @@ def start(cache: str) -> list[float]:
     """Measure a new process, in s: import, first candidate, first Jacobian, whole process, processor time."""
     began, used = time.perf_counter(), os.times()
     environment = os.environ | {"NUMBA_CACHE_DIR": cache}
-    process = subprocess.run([sys.executable, "-c", FIRST_USE], env=environment, check=True, capture_output=True, text=True)
+    process = subprocess.run(
+        ending_with_parent([sys.executable, "-c", FIRST_USE]), env=environment, check=True, capture_output=True, text=True
+    )
     now = os.times()
     processor = now.children_user + now.children_system - used.children_user - used.children_system
     return [*map(float, process.stdout.split()), time.perf_counter() - began, processor]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from mrd_base.domain import claim_domain
+from mrd_base.workers import ending_with_parent
 
 ROOT = Path(__file__).resolve().parents[1]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -60,11 +61,14 @@ class PageBench:
         domain = claim_domain()
         with (folder / "bench.log").open("w") as log:
             self.process = subprocess.Popen(
-                [
-                    *(sys.executable, "-m", "mrd_bench_driver.nodes.bench", "--simulated", "--page", "--bench", str(bench)),
-                    *("--plant", str(ROOT / "config/plant.yaml"), "--output", str(folder / "out")),
-                    *options,
-                ],
+                ending_with_parent(
+                    [
+                        *(sys.executable, "-m", "mrd_bench_driver.nodes.bench"),
+                        *("--simulated", "--page", "--bench", str(bench)),
+                        *("--plant", str(ROOT / "config/plant.yaml"), "--output", str(folder / "out")),
+                        *options,
+                    ]
+                ),
                 env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
                 stdout=log,
                 stderr=subprocess.STDOUT,

@@ -2,8 +2,11 @@
 
 import multiprocessing
 import os
+import shutil
 import signal
 import threading
+import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 
 
@@ -36,13 +39,27 @@ def begin_worker(niceness: int = 0) -> None:
         os.nice(niceness)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
+    if parent is not None and parent.pid is not None:
+        end_with(parent.pid)
 
-    def end_with_parent() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
 
-    threading.Thread(target=end_with_parent, name="parent", daemon=True).start()
+def end_with(parent: int) -> None:
+    """End this process at once, whatever it is doing, when its parent, given by its id, has ended."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+
+
+def ending_with_parent(command: Sequence[str]) -> list[str]:
+    """Return a command whose process receives SIGTERM when the process that runs it ends, also by SIGKILL.
+
+    Where there is no ``setpriv`` (util-linux), it is the command as it was.
+    """
+    return [*(["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []), *command]
 
 
 def end_workers(pool: ProcessPoolExecutor) -> None:

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import shutil
 import signal
 import subprocess
 import time
@@ -15,6 +14,7 @@ from typing import Any
 import yaml
 
 from mrd_base import InputError, read_node_parameters
+from mrd_base.workers import ending_with_parent
 
 # Nodes that command a motion end first. Then end those that release rod and coil, while motor and recorder still run.
 _STOP_ORDER = (("supervisor", "generator", "controller"), ("servo", "daq"), ("recorder", "plant"))
@@ -203,8 +203,6 @@ class BenchProcesses:
         spec = self.specs[name]
         program = find_executable(spec.package, name)
         self._logs.mkdir(parents=True, exist_ok=True)
-        # If this process is killed, the bench must not go on by itself.
-        die_with_parent = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
         arguments = ["--ros-args", "-r", f"__ns:={self.namespace}"]
         for file in spec.files:
             arguments += ["--params-file", str(file)]
@@ -215,7 +213,8 @@ class BenchProcesses:
             arguments += ["--params-file", str(overrides)]
         with self.log(name).open("ab") as log:
             process = subprocess.Popen(
-                [*die_with_parent, str(program), *arguments],
+                # If this process is killed, the bench must not go on by itself.
+                ending_with_parent([str(program), *arguments]),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,

@@ -3,8 +3,6 @@
 import json
 import os
 import sys
-import threading
-import time
 from pathlib import Path
 from typing import IO
 
@@ -12,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.workers import end_with
 from mrd_sim.simulators.fmu_runner import FmuRunner
 from mrd_sim.simulators.messages import read_message, write_message
 from mrd_sim.simulators.python_runner import PythonRunner
@@ -28,7 +27,7 @@ def main() -> None:
     questions = os.fdopen(os.dup(0), "rb")
     with open(os.devnull, "rb") as nothing:
         os.dup2(nothing.fileno(), 0)
-    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
+    end_with(os.getppid())
     serve(kind, Path(file), json.loads(options), questions, output)
 
 
@@ -53,13 +52,6 @@ def serve(kind: str, file: Path, options: dict[str, object], questions: IO[bytes
             write_message(answers, {"error": str(error)}, nothing)
         else:
             write_message(answers, {}, force)
-
-
-def _end_with_parent(parent: int) -> None:
-    """End this process once its parent has ended, whatever the simulator is doing."""
-    while os.getppid() == parent:
-        time.sleep(1.0)
-    os._exit(1)
 
 
 if __name__ == "__main__":
