@@ -1,5 +1,6 @@
 """The supervisor and its operations with fake peers, without ROS."""
 
+import contextlib
 import dataclasses
 import threading
 import time
@@ -15,7 +16,7 @@ from mrd_base import BenchClock
 from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.config import SupervisorConfig
 from mrd_bench_driver.supervision.errors import CancelledError, RefusedError, TrippedError
-from mrd_bench_driver.supervision.modes import Mode
+from mrd_bench_driver.supervision.modes import BenchMode, Mode
 from mrd_bench_driver.supervision.operations import BenchOperations
 from mrd_bench_driver.supervision.supervisor import Supervisor
 
@@ -25,13 +26,13 @@ EXPERIMENT = "{name: short, duration_s: 0.5, rate_hz: 1000, rod: {waveform: cons
 class FakePeers:
     """Peers that do at once what they are asked, and whose data are published by `publish`."""
 
-    def __init__(self, **changes: float) -> None:
+    def __init__(self, clock: BenchClock | None = None, **changes: float) -> None:
         self.calls: list[str] = []
         self.refusals: dict[str, str] = {}
         self.effects: dict[str, Callable[[], None]] = {}
         self.takes: dict[str, float] = {}  # wall time in s that a service takes
         self.absent: tuple[str, ...] = ()
-        self.clock = BenchClock()
+        self.clock = clock or BenchClock()
         self.servo = ServoStatus(position=0.0, connected=True)
         self.force, self.rate, self.state, self.recorder = 0.0, 100.0, "", "idle"
         self.temperature = 300.0
@@ -39,9 +40,7 @@ class FakePeers:
         self.emergency_stops: list[bool] = []
         timeouts = {"answer_timeout": 0.2, "discovery_timeout": 0.1, "late": 1.0, "stall": 1.0}
         config = SupervisorConfig(**{**timeouts, **changes})  # type: ignore[arg-type]
-        self.supervisor = Supervisor(
-            config, self.clock, self, lambda mode: self.modes.append((mode.current, mode.reason)), self._on_emergency_stop
-        )
+        self.supervisor = Supervisor(config, self.clock, self, self._on_mode, self._on_emergency_stop)
         self.publish()
 
     def publish(self) -> None:
@@ -55,6 +54,11 @@ class FakePeers:
         if self.state != monitor.experiment_state:
             monitor.add_experiment_state(self.state, now)
         self.supervisor.check_interlocks()
+
+    def _on_mode(self, mode: BenchMode, stops: int) -> None:
+        if self.modes[-1:] != [(mode.current, mode.reason)]:
+            self.modes.append((mode.current, mode.reason))
+        self.told_stops = stops
 
     def _on_emergency_stop(self, stop: bool) -> None:
         self.emergency_stops.append(stop)
@@ -298,6 +302,109 @@ def test_a_stop_before_the_end_of_homing_cancels_it(peers: FakePeers) -> None:
         peers.supervisor.home()
     stopping[0].join(5)
     assert peers.supervisor.mode.current is Mode.IDLE
+
+
+class QuickClock(BenchClock):
+    """Its time passes only where somebody waits; meanwhile the peers publish."""
+
+    def __init__(self) -> None:
+        self._now = 1000.0
+        self.publish: Callable[[], None] = lambda: None
+
+    def now(self) -> float:
+        return self._now
+
+    def sleep_until(self, bench_time: float) -> None:
+        while self._now < bench_time:
+            self._now += 0.01
+            self.publish()
+
+    def sleep_step(self, period: float) -> None:
+        self.sleep(period)
+
+
+def quick_peers() -> FakePeers:
+    clock = QuickClock()
+    peers = FakePeers(clock)
+    clock.publish = peers.publish
+    return peers
+
+
+def stop_by_the_servo(peers: FakePeers) -> None:
+    peers.clock.sleep(0.01)
+    peers.servo = dataclasses.replace(peers.servo, halt_time=peers.clock.now())
+    peers.publish()
+
+
+STOPS: dict[str, Callable[[FakePeers], object]] = {
+    "stop": lambda peers: peers.supervisor.stop(),
+    "servo/stop": stop_by_the_servo,
+    "emergency_stop and reset": lambda peers: (
+        peers.supervisor.emergency_stop("emergency stop on the topic"),
+        peers.supervisor.procedure or peers.supervisor.reset_fault(),
+    ),
+}
+
+
+def run_set_in_parts(
+    peers: FakePeers, parts: list[list[str]], told: bool, moment: int, stop: Callable[[FakePeers], object]
+) -> tuple[int, list[str]]:
+    """Run a set in parts, as `bench` does where a damper test may end it, and stop at one of its moments.
+
+    Parameters
+    ----------
+    told : bool
+        Whether the goals tell at how many stops the set was asked for.
+
+    Returns
+    -------
+    moments : int
+        How many there were.
+    calls : list of str
+        What was asked of the bench after the stop.
+    """
+    supervisor, call = peers.supervisor, peers.call
+    stops = peers.told_stops if told else 0
+    moments, calls_before = 0, 0
+
+    def pass_moment(*_arguments: object) -> None:
+        nonlocal moments, calls_before
+        moments += 1
+        if moments == moment:
+            peers.call = call  # type: ignore[method-assign]
+            stop(peers)
+            calls_before = len(peers.calls)
+
+    def call_and_pass(*arguments: Any, **fields: Any) -> Any:
+        response = call(*arguments, **fields)
+        pass_moment()
+        return response
+
+    peers.call = call_and_pass  # type: ignore[method-assign]
+    peers.effects["start_experiment"] = lambda: setattr(peers, "state", "done")
+    # Each experiment is announced, also where one waits already.
+    peers.effects["load_experiment"] = lambda: supervisor.monitor.add_experiment_state("", peers.clock.now())
+    for part in parts:
+        experiments = [EXPERIMENT.replace("short", name) for name in part]
+        with contextlib.suppress(RefusedError):
+            supervisor.check_set(experiments, "", 3, stops)
+            if told:
+                pass_moment()  # the goal is accepted
+            if supervisor.run_set(experiments, "", 3, pass_moment, lambda: supervisor.stopped_since(stops)).success:
+                pass_moment()  # its result is under way
+                continue
+        break
+    return moments, peers.calls[calls_before:] if moments >= moment else []
+
+
+@pytest.mark.parametrize("way", STOPS)
+@pytest.mark.parametrize(("parts", "told"), [([["first", "second"]], False), ([["first"], ["second"]], True)])
+def test_no_run_of_a_set_begins_after_a_stop_at_any_moment(parts: list[list[str]], told: bool, way: str) -> None:
+    count, calls = run_set_in_parts(quick_peers(), parts, told, 0, STOPS[way])
+    assert calls.count("start_experiment") == 2, "without a stop"
+    for moment in range(1, count + 1):
+        _, calls = run_set_in_parts(quick_peers(), parts, told, moment, STOPS[way])
+        assert not {"servo/home", "servo/enable True", "start_experiment"} & set(calls), f"moment {moment}: {calls}"
 
 
 @pytest.mark.parametrize(

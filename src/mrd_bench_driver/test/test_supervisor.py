@@ -227,8 +227,8 @@ class Fakes:
     def send(self, experiment: str = EXPERIMENT) -> Any:
         return self._send(self.action, RunExperiment.Goal(experiment=experiment, bag="/tmp/bag", seed=3))
 
-    def send_set(self, folder: str, experiments: list[str] = SET) -> Any:
-        return self._send(self.set_action, RunSet.Goal(experiments=experiments, folder=folder, seed=3))
+    def send_set(self, folder: str, experiments: list[str] = SET, stops: int = 0) -> Any:
+        return self._send(self.set_action, RunSet.Goal(experiments=experiments, folder=folder, seed=3, stops=stops))
 
     def _send(self, action: ActionClient, goal: Any) -> Any:
         self.feedback: list[str] = []
@@ -563,6 +563,36 @@ def test_a_stop_between_two_runs_ends_their_set(fakes: Fakes, step: str, tmp_pat
     result = fakes.result(fakes.send_set(str(tmp_path))).result
     assert result.message.startswith("02_b: servo: somebody stopped the rod"), result.message
     assert [recording.experiment for recording in result.recordings] == ["01_a"]
+
+
+@pytest.mark.parametrize("moment", ["closing", "ended", "sent"])
+def test_a_stop_around_the_end_of_a_part_of_a_set_ends_the_set(fakes: Fakes, moment: str, tmp_path: Any) -> None:
+    """The next part is sent as soon as the result of the one before is there, as by `bench`."""
+    graph, stops = fakes.graph, fakes.states[-1].stops
+    client = graph.node.create_client(Trigger, "stop")
+    graph.until(client.service_is_ready)
+    stopped: list[Any] = []
+
+    def stop() -> None:
+        stopped.append(client.call_async(Trigger.Request()))
+
+    if moment == "closing":
+        fakes.meanwhile["stop_recording"] = stop
+    assert fakes.result(fakes.send_set(str(tmp_path), SET[:1], stops)).result.success
+    if moment == "ended":
+        stop()
+    following = fakes.send_set(str(tmp_path), SET[1:2], stops)
+    if moment == "sent":
+        stop()
+    graph.until(stopped[0].done)
+    calls = len(fakes.calls)
+    if following.accepted:
+        assert not fakes.result(following).result.success
+    else:
+        assert "somebody stopped the bench before this run" in fakes.refusal(following)
+    assert not {"servo/home", "servo/enable True", "start_experiment"} & set(fakes.calls[calls:])
+    graph.until(lambda: fakes.states[-1].stops > stops)
+    client.destroy()
 
 
 def test_an_abort_before_the_start_ends_the_run(fakes: Fakes) -> None:

@@ -51,6 +51,8 @@ class BenchView:
         What the supervisor would know by the same messages.
     mode, reason : Mode, str
         Mode of the bench and why it is in it; the reason is empty until the supervisor was heard.
+    stops : int
+        How often it was stopped, as the supervisor counts: from 1; 0 until it was heard.
     bench_time : float
         Bench time in s of the latest lease.
     lease_heard : float
@@ -68,6 +70,7 @@ class BenchView:
     monitor: BenchMonitor = field(default_factory=lambda: BenchMonitor(BenchClock()))
     mode: Mode = Mode.IDLE
     reason: str = ""
+    stops: int = 0
     bench_time: float = float("nan")
     lease_heard: float = -float("inf")
     lease_holder: tuple[str, float] | None = None

@@ -75,8 +75,11 @@ class Commands(Protocol):
     async def call(self, name: str) -> str:
         """Make one of the requests `CALLS`; return the answer."""
 
-    async def run(self, kind: Kind, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
-        """Record an experiment or a hybrid test, given by the text of its file; return when it has ended."""
+    async def run(self, kind: Kind, experiment: str, bag: Path, seed: int, stops: int, progress: Progress) -> RunOutcome:
+        """Record an experiment or a hybrid test, given by the text of its file; return when it has ended.
+
+        The bench refuses it if it was stopped more often than ``stops`` says (`BenchView.stops`).
+        """
 
     async def diagnose(self, request: BenchDiagnosisRequest, progress: RoundProgress) -> BenchDiagnosisOutcome:
         """Let the bench record and diagnose in turn; return when that has ended."""
@@ -379,6 +382,7 @@ class Dashboard:
 async def run_next(dashboard: Dashboard) -> bool:
     """Record the run whose turn it is; return whether there was one. What it recorded is looked at beside the next run."""
     queue = dashboard.queue
+    queue.hear(dashboard.bench.stops)
     run = queue.next()
     if run is None:
         return False
@@ -411,6 +415,7 @@ async def _record(dashboard: Dashboard, run: QueuedRun) -> RunOutcome:
             run.experiment,
             bag,
             run.seed,
+            dashboard.queue.heard,
             lambda phase, elapsed: dashboard.queue.progress(run.number, phase, elapsed),
         )
     except InputError as error:

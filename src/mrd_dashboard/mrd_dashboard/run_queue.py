@@ -86,7 +86,10 @@ class RunQueue:
     problem : str
         Why the file could not be written, or "".
     stops : int
-        How often somebody has stopped the bench from the page.
+        How often somebody has stopped the bench, as far as the queue has heard.
+    heard : int
+        How often the bench has counted a stop, from 1; 0 while it was not heard. A run is sent with this number, and
+        the bench refuses it after a stop of which the queue has not heard yet.
     """
 
     file: Path | None = None
@@ -95,6 +98,7 @@ class RunQueue:
     why: str = ""
     problem: str = ""
     stops: int = 0
+    heard: int = 0
 
     def __post_init__(self) -> None:
         if self.file is not None and self.file.exists():
@@ -164,6 +168,12 @@ class RunQueue:
                 self._replace(number, message="; ".join(filter(None, (run.message, message))))
                 self._keep()
                 return
+
+    def hear(self, count: int) -> None:
+        """Hear how often the bench has counted a stop: after one that came from elsewhere, the runs wait, too."""
+        if self.heard not in (0, count):
+            self.stop()
+        self.heard = count
 
     def require_no_stop_since(self, stops: int) -> None:
         """Refuse what was asked for when there were so many stops, if there are more now: nothing moves by it any more."""

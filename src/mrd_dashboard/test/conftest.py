@@ -35,6 +35,7 @@ class NotedCommands:
     def __init__(self) -> None:
         self.asked: list[Any] = []
         self.kinds: list[Kind] = []
+        self.stops: list[int] = []
         self.refusal = ""
         self.go_on = asyncio.Event()  # until then, a diagnosis on the bench records
 
@@ -47,9 +48,10 @@ class NotedCommands:
             raise InputError(self.refusal)
         return f"{name}: done"
 
-    async def run(self, kind: Kind, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
+    async def run(self, kind: Kind, experiment: str, bag: Path, seed: int, stops: int, progress: Progress) -> RunOutcome:
         self.asked.append((experiment, bag.name, seed))
         self.kinds.append(kind)
+        self.stops.append(stops)
         if self.refusal:
             raise InputError(self.refusal)
         progress("running", 1.0)

@@ -210,7 +210,7 @@ def test_a_run_whose_supervisor_has_gone_ends(
             while not client.server_is_ready():
                 await asyncio.sleep(0.1)
             with pytest.raises(InputError, match="supervisor has gone"):
-                await commands.run("identification", "name: x", tmp_path, 0, progress)
+                await commands.run("identification", "name: x", tmp_path, 0, 0, progress)
 
     try:
         asyncio.run(run())

@@ -587,6 +587,19 @@ def test_everybody_may_stop(dashboard, commands) -> None:
     assert dashboard.queue.next() is None
 
 
+def test_a_stop_from_elsewhere_lets_the_next_run_wait(dashboard, commands) -> None:
+    for _ in range(3):
+        dashboard.queue.add("sine", SINE, 5.0)
+    dashboard.bench.stops = 4  # before the queue has heard of the bench
+    assert asyncio.run(run_next(dashboard))
+    dashboard.bench.stops = 5
+    assert not asyncio.run(run_next(dashboard))
+    dashboard.queue.paused = False
+    assert asyncio.run(run_next(dashboard))
+    assert [run.state for run in dashboard.queue.runs] == ["done", "done", "waiting"]
+    assert commands.stops == [4, 5], "the bench refuses what was sent before the page has heard of a stop"
+
+
 def test_what_was_asked_for_before_a_stop_is_not_added_after_it(dashboard) -> None:
     for stop in (lambda: dashboard.emergency_stop(BOB), lambda: asyncio.run(dashboard.call(BOB, "end run"))):
         stops = dashboard.queue.stops

@@ -464,6 +464,7 @@ def _run(client: BenchClient, session: Session, seed: int) -> tuple[Any, list[An
     recordings: list[Any] = []
     result: Any = None
     done = 0  # experiments of the parts before
+    stops = client.stops  # a stop after the last run of a part refuses the next part
     with shown_progress(session.name) as report:
 
         def progress(feedback: Any) -> None:
@@ -475,9 +476,9 @@ def _run(client: BenchClient, session: Session, seed: int) -> tuple[Any, list[An
             # The texts are complete: the nodes cannot look up files relative to the experiment's file.
             texts = [format_experiment(experiment) for experiment in part]
             if not session.is_set:
-                result = client.run_experiment(texts[0], session.bags[0], seed, progress)
+                result = client.run_experiment(texts[0], session.bags[0], seed, progress, stops)
                 return result, [result] if result.bag else [], ""
-            result = client.run_set(texts, session.output, seed, progress)
+            result = client.run_set(texts, session.output, seed, progress, stops)
             recordings += result.recordings
             if not result.success:
                 break

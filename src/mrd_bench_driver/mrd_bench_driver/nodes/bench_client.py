@@ -19,6 +19,7 @@ from mrd_base import BenchClock, InputError
 from mrd_base.barrier_clock import BarrierClock
 from mrd_base.domain import claim_name, present_domain
 from mrd_base.nodes.graph import (
+    BENCH_STATE,
     DIAGNOSE_ON_BENCH,
     DIAGNOSTICS,
     EMERGENCY_STOP,
@@ -32,6 +33,7 @@ from mrd_base.nodes.graph import (
 )
 from mrd_bench_driver.processes import ProcessDiedError
 from mrd_interfaces.action import DiagnoseOnBench, RunExperiment, RunSet
+from mrd_interfaces.msg import BenchState
 
 # Wall time in s for all nodes to come up; the first start after an installation compiles for some 20 s, or longer on a busy
 # machine. Nobody waits so long for a process that has died: the watch of the client sees it.
@@ -107,6 +109,9 @@ class BenchClient:
     ----------
     time : BenchClock
         Clock of bench time, once the nodes are up.
+    stops : int
+        The number of stops that the supervisor has told latest, from 1, once it is up. A run that is asked for with an
+        earlier one is refused.
     """
 
     def __init__(
@@ -129,6 +134,8 @@ class BenchClient:
         self._page_address = ""
         self._supervisor_heard = time.monotonic()  # wall time of its latest diagnostics
         DIAGNOSTICS.subscription(self.node, self._on_diagnostics)
+        self.stops = 0
+        BENCH_STATE.subscription(self.node, self._on_bench_state)
         self._recording = False
         RECORDER_STATE.subscription(self.node, self._on_recorder_state)
         self._refusals: list[str] = []
@@ -143,6 +150,9 @@ class BenchClient:
                 self._page_address = entry.value
         if f"{namespace}/supervisor" in values:
             self._supervisor_heard = time.monotonic()
+
+    def _on_bench_state(self, state: BenchState) -> None:
+        self.stops = state.stops
 
     def _on_recorder_state(self, status: DiagnosticStatus) -> None:
         self._recording = any(value.value in ("recording", "stopping") for value in status.values if value.key == "state")
@@ -180,7 +190,7 @@ class BenchClient:
 
         def missing() -> list[str]:
             nodes = sorted(name for name in names if f"{namespace}/{name}" not in self._nodes_up and not begun())
-            if nodes or all(action.server_is_ready() for action in actions):
+            if nodes or (self.stops and all(action.server_is_ready() for action in actions)):
                 return nodes
             return ["the actions of the supervisor"]
 
@@ -238,14 +248,17 @@ class BenchClient:
         # The message must leave, and the rod stand, also where nothing was recorded.
         self.spin(lambda: False, _REST_TIMEOUT - (time.monotonic() - begin), watch=False)
 
-    def run_experiment(self, experiment: str, bag: Path, seed: int, feedback: Feedback = ignore_feedback) -> Any:
+    def run_experiment(
+        self, experiment: str, bag: Path, seed: int, feedback: Feedback = ignore_feedback, stops: int = 0
+    ) -> Any:
         """Run an experiment, given by the text of its file, and return the result of the action.
 
         The result of a goal that is rejected has no success, and the reason as its message. If ``watch`` raises an exception
         meanwhile, the experiment is cancelled, and its end is awaited before the exception is raised on. If it tells by
-        `ProcessDiedError` that a node has died, everything is stopped at once.
+        `ProcessDiedError` that a node has died, everything is stopped at once. Where ``stops`` is an earlier `stops` of this
+        client, a stop since then refuses the goal.
         """
-        goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
+        goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed, stops=stops)
         return self._run(RUN_EXPERIMENT, self._run_experiment, goal, feedback)
 
     def run_control(self, experiment: str, bag: Path, seed: int, feedback: Feedback = ignore_feedback) -> Any:
@@ -253,9 +266,11 @@ class BenchClient:
         goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
         return self._run(RUN_CONTROL, self._run_control, goal, feedback)
 
-    def run_set(self, experiments: list[str], folder: Path, seed: int, feedback: Feedback = ignore_feedback) -> Any:
+    def run_set(
+        self, experiments: list[str], folder: Path, seed: int, feedback: Feedback = ignore_feedback, stops: int = 0
+    ) -> Any:
         """Run experiments one after the other, each into its own bag in the folder; otherwise as `run_experiment`."""
-        goal = RunSet.Goal(experiments=experiments, folder=str(folder), seed=seed)
+        goal = RunSet.Goal(experiments=experiments, folder=str(folder), seed=seed, stops=stops)
         return self._run(RUN_SET, self._run_set, goal, feedback)
 
     def diagnose_on_bench(self, goal: DiagnoseOnBench.Goal, feedback: Feedback = ignore_feedback) -> Any:
@@ -275,9 +290,11 @@ class BenchClient:
                 self._hold_time()
             feedback(message.feedback)
 
+        self._watch()  # what has come before the goal is sent, needs no end of it
         self._refusals.clear()
         accepted = client.send_goal_async(goal, feedback_callback=on_feedback)
-        if not self.spin(accepted.done, ACCEPT_TIMEOUT):
+        # What comes from here on, ends the goal below.
+        if not self.spin(accepted.done, ACCEPT_TIMEOUT, watch=False):
             raise InputError(f"the supervisor did not accept the goal within {ACCEPT_TIMEOUT:g} s; look at its log")
         handle: ClientGoalHandle = accepted.result()
         if not handle.accepted:

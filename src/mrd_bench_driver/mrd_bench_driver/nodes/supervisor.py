@@ -136,13 +136,13 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
             service.serve(self._request_node, _service_callback(work), callback_group=group)
 
         def check_experiment(goal: RunExperiment.Goal) -> None:
-            supervisor.check_experiment(goal.experiment, goal.bag, goal.seed)
+            supervisor.check_experiment(goal.experiment, goal.bag, goal.seed, goal.stops)
 
         def check_control(goal: RunExperiment.Goal) -> None:
-            supervisor.check_control(goal.experiment, goal.bag, goal.seed)
+            supervisor.check_control(goal.experiment, goal.bag, goal.seed, goal.stops)
 
         def check_set(goal: RunSet.Goal) -> None:
-            supervisor.check_set(goal.experiments, goal.folder, goal.seed)
+            supervisor.check_set(goal.experiments, goal.folder, goal.seed, goal.stops)
 
         actions: dict[Action, tuple[Callable[[Any], Any], Callable[[Any], None]]] = {
             RUN_EXPERIMENT: (partial(self._run_one, supervisor.run_experiment), check_experiment),
@@ -258,10 +258,10 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._stop_sent = self.bench.now()
         self._emergency_stop.publish(Bool(data=stop))
 
-    def _announce(self, mode: BenchMode) -> None:
+    def _announce(self, mode: BenchMode, stops: int) -> None:
         # Servo and DAQ hear of the mode first: whoever reads the state and calls a stop means this mode.
         self._renew_lease(mode)
-        message = BenchState(mode=int(mode.current), message=mode.reason)
+        message = BenchState(mode=int(mode.current), message=mode.reason, stops=stops)
         message.header.stamp = self.stamp()
         self._state.publish(message)
         if mode.current is Mode.FAULT:
@@ -304,7 +304,14 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._active_goals.append(goal)
         before = self._stops_before.pop(bytes(goal.goal_id.uuid))
         try:
-            yield lambda: goal.is_cancel_requested or self._supervisor.stops != before
+            yield (
+                lambda: (
+                    goal.is_cancel_requested
+                    or self._supervisor.stops != before
+                    # A stop that came between check and acceptance.
+                    or self._supervisor.stopped_since(goal.request.stops)
+                )
+            )
         finally:
             self._active_goals.remove(goal)
 

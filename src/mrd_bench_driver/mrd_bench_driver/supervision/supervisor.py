@@ -47,7 +47,7 @@ class Supervisor:
     Parameters
     ----------
     on_mode : callable
-        Receives `mode` at the start and after every change.
+        Receives `mode` and `stop_count` at the start and after every change of one of them.
     send_emergency_stop : callable
         Sends the emergency stop to all nodes (True), or its release (False).
 
@@ -68,30 +68,49 @@ class Supervisor:
         config: SupervisorConfig,
         clock: BenchClock,
         peers: Peers,
-        on_mode: Callable[[BenchMode], None],
+        on_mode: Callable[[BenchMode, int], None],
         send_emergency_stop: Callable[[bool], None],
     ) -> None:
         self._config, self._clock, self._peers = config, clock, peers
-        self._send_emergency_stop = send_emergency_stop
+        self._send_emergency_stop, self._on_mode = send_emergency_stop, on_mode
         self._runs = Path(config.runs).expanduser()
         self._lock = threading.Lock()
         self._emergency_stops = 0  # so many have come
         self._stopped = -math.inf  # bench time at which the nodes were last told to stop
+        self._halts, self._halt_time = 0, clock.now()  # stops by services of the servo, and bench time of the latest
         self._stops_before = 0  # stops that came before the present procedure
         self._begun = -math.inf  # bench time of its beginning
         self._controlled = -math.inf  # bench time since which somebody controls by hand
         self._punctuality = Punctuality(config.late)
         self._checked = clock.now()
+        self.stops = 0
         self.monitor = BenchMonitor(clock)
         # The time in microseconds is unique, also among supervisors that follow each other.
-        self.mode = BenchMode(on_mode, lambda: int(1e6 * clock.now()))
+        self.mode = BenchMode(lambda mode: on_mode(mode, self.stop_count), lambda: int(1e6 * clock.now()))
         self.procedure = ""
-        self.stops = 0
 
     # Interlocks and the emergency stop
 
+    @property
+    def stop_count(self) -> int:
+        """1, and one more with every stop, whoever asked for it and by whatever way."""
+        return 1 + self.stops + self._emergency_stops + self._halts
+
+    def stopped_since(self, count: int) -> bool:
+        """Whether the bench was stopped since `stop_count` had a value; never since 0, which stands for no value."""
+        return count not in (0, self.stop_count)
+
+    def _note_halt(self) -> None:
+        """Count a stop by a service of the servo."""
+        servo = self.monitor.servo
+        if servo is not None and servo.halt_time > self._halt_time:
+            self._halt_time = servo.halt_time
+            self._halts += 1
+            self._on_mode(self.mode, self.stop_count)
+
     def check_interlocks(self) -> None:
         """Stop the bench if an interlock trips while the rod may move."""
+        self._note_halt()
         self._check_stall()
         self._checked = self._clock.now()
         mode, servo = self.mode.current, self.monitor.servo
@@ -177,6 +196,7 @@ class Supervisor:
     def stop(self) -> str:
         """Stop whatever runs; return the message of success."""
         self.stops += 1
+        self._on_mode(self.mode, self.stop_count)
         try:
             with self._clock.busy():
                 failures = self._operations().halt_all()
@@ -217,19 +237,19 @@ class Supervisor:
                 raise RefusedError("a stop came during the reset; reset again once nobody is in danger")
         return "reset; home or run an experiment to go on"
 
-    def check_experiment(self, experiment: str, bag: str, seed: int) -> None:
-        """Raise `RefusedError` if `run_experiment` would refuse at once."""
-        self._require_free()
+    def check_experiment(self, experiment: str, bag: str, seed: int, stops: int = 0) -> None:
+        """Raise `RefusedError` if `run_experiment` would refuse at once, or the bench was stopped since a `stop_count`."""
+        self._require_free(stops)
         require_new(single_run(experiment, bag, seed, self._runs))
 
-    def check_control(self, experiment: str, bag: str, seed: int) -> None:
-        """Raise `RefusedError` if `run_control` would refuse at once."""
-        self._require_free()
+    def check_control(self, experiment: str, bag: str, seed: int, stops: int = 0) -> None:
+        """Raise `RefusedError` if `run_control` would refuse at once, or the bench was stopped since a `stop_count`."""
+        self._require_free(stops)
         require_new(control_run(experiment, bag, seed, self._runs))
 
-    def check_set(self, experiments: Sequence[str], folder: str, seed: int) -> None:
-        """Raise `RefusedError` if `run_set` would refuse at once."""
-        self._require_free()
+    def check_set(self, experiments: Sequence[str], folder: str, seed: int, stops: int = 0) -> None:
+        """Raise `RefusedError` if `run_set` would refuse at once, or the bench was stopped since a `stop_count`."""
+        self._require_free(stops)
         set_of_runs(experiments, folder, seed, self._runs)
 
     def run_experiment(
@@ -334,10 +354,12 @@ class Supervisor:
         problem = self._punctuality.problem(self._clock.now())
         return dataclasses.replace(outcome, message=f"{outcome.message}; {problem}") if problem else outcome
 
-    def _require_free(self) -> None:
-        """Refuse unless the bench is idle and no procedure runs."""
+    def _require_free(self, stops: int) -> None:
+        """Refuse unless the bench is idle, no procedure runs, and nobody has stopped the bench since a `stop_count`."""
         self._require_no_procedure()
         self.mode.require_idle()
+        if self.stopped_since(stops):
+            raise RefusedError("somebody stopped the bench before this run; look why, then ask for the run again")
 
     def _require_no_procedure(self) -> None:
         if self.procedure:

@@ -139,13 +139,13 @@ class RosCommands:
             raise InputError(f"{name} is refused: {response.message}")
         return f"{name}: {response.message or 'done'}"
 
-    async def run(self, kind: Kind, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
+    async def run(self, kind: Kind, experiment: str, bag: Path, seed: int, stops: int, progress: Progress) -> RunOutcome:
         """Send an experiment or a hybrid test to the supervisor, and return when it has ended."""
         name, client = self._runs[kind]
         if not client.server_is_ready():
             raise InputError("the bench does not answer; look whether its supervisor is up, then try again")
         self._refusals.clear()
-        goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
+        goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed, stops=stops)
         loop = asyncio.get_running_loop()
 
         def hear(message: Any) -> None:
@@ -313,7 +313,7 @@ class Page(BenchNode[PageConfig]):
         self._view.monitor.add_servo_status(ServoStatus(seconds(state.header.stamp), **fields))
 
     def _on_bench_state(self, state: BenchState) -> None:
-        self._view.mode, self._view.reason = Mode(state.mode), state.message
+        self._view.mode, self._view.reason, self._view.stops = Mode(state.mode), state.message, state.stops
 
     def _on_experiment_state(self, source: str, state: String) -> None:
         self._view.monitor.add_experiment_state(state.data, self._view.bench_time, source)
