@@ -6,7 +6,7 @@ They are checked where a file is imported; before a fit, `mrd_identification.pre
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.signal import find_peaks
+import scipy
 
 from mrd_base.tool import command
 from mrd_runs.run import Run
@@ -43,7 +43,9 @@ def relative_work(run: Run) -> float:
 
 
 def _has_wrong_sign(run: Run) -> bool:
-    turns = sum(len(find_peaks(sign * run.position, prominence=0.2 * np.ptp(run.position))[0]) for sign in (1, -1))
+    turns = sum(
+        len(scipy.signal.find_peaks(sign * run.position, prominence=0.2 * np.ptp(run.position))[0]) for sign in (1, -1)
+    )
     return turns >= _FEWEST_TURNS and relative_work(run) < _WRONG_SIGN_WORK
 
 

@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from mrd_base import quantity
 from mrd_base.quantities import ZERO_CELSIUS
@@ -45,5 +45,5 @@ class Heating:
         keep = math.exp(-dt / self.time_constant)
         gain = (1.0 - keep) * self.time_constant / self.heat_capacity
         start = [keep * (temperature - self.ambient_kelvin)]
-        rise, _ = lfilter([gain], [1.0, -keep], np.asarray(power, np.float64), zi=start)
+        rise, _ = scipy.signal.lfilter([gain], [1.0, -keep], np.asarray(power, np.float64), zi=start)
         return np.asarray(self.ambient_kelvin + rise, np.float64)

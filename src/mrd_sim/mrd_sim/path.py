@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from mrd_runs import Run
 from mrd_runs.signals.mains import MAINS_LINES, Line, mains_lines
@@ -187,7 +187,9 @@ def _without_noise(run: Run) -> Array | None:
     """Return the temperature of a run in K averaged over `TEMPERATURE_WINDOW`: its noise is none of the fluid."""
     if run.temperature is None:
         return None
-    return np.asarray(uniform_filter1d(run.temperature, max(1, round(TEMPERATURE_WINDOW * run.rate)), mode="nearest"))
+    return np.asarray(
+        scipy.ndimage.uniform_filter1d(run.temperature, max(1, round(TEMPERATURE_WINDOW * run.rate)), mode="nearest")
+    )
 
 
 def pieces(run: Run) -> NDArray[np.intp]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from mrd_base import InputError
 from mrd_base.quantities import ZERO_CELSIUS
@@ -226,7 +226,7 @@ def _lagged(series: Array, lag: float, step: float) -> Array:
     keep = math.exp(-step / lag)
     mean = (1.0 - keep) * lag / step
     # Before the first value the series had that value.
-    filtered, _ = lfilter([1.0 - mean, mean - keep], [1.0, -keep], series, zi=mean * series[..., :1])
+    filtered, _ = scipy.signal.lfilter([1.0 - mean, mean - keep], [1.0, -keep], series, zi=mean * series[..., :1])
     return np.asarray(filtered, np.float64)
 
 

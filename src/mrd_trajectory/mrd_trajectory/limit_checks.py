@@ -1,10 +1,12 @@
 """Checks of planned motion, current and force against the limits; a refusal names the limit and a remedy."""
 
+from __future__ import annotations
+
 import dataclasses
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from mrd_base import InputError
 from mrd_base.config import yaml_key
@@ -15,6 +17,9 @@ from mrd_trajectory.path import extremes, largest_magnitude
 from mrd_trajectory.transition import TOLERANCE
 from mrd_trajectory.waveforms import CHANNEL_UNITS, Waveform
 from mrd_trajectory.waveforms.waveform import fields_in
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 # The force is checked at this many instants per second, within these bounds.
 _INSTANTS_PER_SECOND, _FEWEST_INSTANTS, _MOST_INSTANTS = 1000, 1000, 200_000

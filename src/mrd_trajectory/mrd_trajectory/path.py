@@ -1,11 +1,16 @@
 """Paths: position or current as piecewise polynomials of time, with exact derivatives."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import PPoly
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 Array = NDArray[np.float64]
 
@@ -32,7 +37,7 @@ def state_at(path: PPoly, time: float) -> MotionState:
 
 def end_state(path: PPoly) -> MotionState:
     """Return the state at the end of a path."""
-    return state_at(PPoly(path.c[:, -1:], path.x[-2:]), float(path.x[-1]))
+    return state_at(scipy.interpolate.PPoly(path.c[:, -1:], path.x[-2:]), float(path.x[-1]))
 
 
 def quintic_hermite(times: Array, level: Array, rate: Array, curvature: Array) -> PPoly:
@@ -53,7 +58,7 @@ def quintic_hermite(times: Array, level: Array, rate: Array, curvature: Array) -
     dx = level[1:] - x - v * h - a * h**2 / 2
     dv = (rate[1:] - v - a * h) * h
     da = (curvature[1:] - a) * h**2 / 2
-    return PPoly(
+    return scipy.interpolate.PPoly(
         np.array(
             [(6 * dx - 3 * dv + da) / h**5, (-15 * dx + 7 * dv - 2 * da) / h**4, (10 * dx - 4 * dv + da) / h**3, a / 2, v, x]
         ),
@@ -70,7 +75,7 @@ def constant_jerk_path(start: MotionState, durations: Sequence[float], jerks: Se
         coefficients[2:, i] = j / 6, a / 2, v, x
         times[i + 1] = times[i] + h
         x, v, a = x + h * (v + h * (a / 2 + h * j / 6)), v + h * (a + h * j / 2), a + h * j
-    return PPoly(coefficients, times)
+    return scipy.interpolate.PPoly(coefficients, times)
 
 
 def rest_path(position: float, duration: float) -> PPoly:
@@ -88,13 +93,13 @@ def concatenate(paths: Sequence[PPoly]) -> PPoly:
             times.append(times[-1][-1] + path.x[1:] - path.x[0])
     if not coefficients:
         return paths[0]
-    return PPoly(np.concatenate(coefficients, axis=1), np.concatenate(times))
+    return scipy.interpolate.PPoly(np.concatenate(coefficients, axis=1), np.concatenate(times))
 
 
 def cut(path: PPoly, duration: float) -> PPoly:
     """Return the first ``duration`` s of a path that starts at time 0."""
     count = int(np.searchsorted(path.x, duration * (1 - 1e-12)))
-    return PPoly(path.c[:, :count], np.append(path.x[:count], duration))
+    return scipy.interpolate.PPoly(path.c[:, :count], np.append(path.x[:count], duration))
 
 
 def extremes(path: PPoly, derivative: int = 0) -> tuple[float, float]:

@@ -1,13 +1,14 @@
 """From an experiment to the motion of the rod and the current of the coil, within the limits of the bench."""
 
+from __future__ import annotations
+
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import PPoly
 
 from mrd_base import InputError
 from mrd_trajectory.experiment import Experiment
@@ -19,6 +20,9 @@ from mrd_trajectory.transition import transition
 from mrd_trajectory.waveform_paths import coil_path, rod_path, waveform_shape
 from mrd_trajectory.waveforms import Holds, Waveform
 from mrd_trajectory.waveforms.waveform import fields_in
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 REDUCTION, MOST_SIZES = 0.8, 8
 """Factor from one size of an experiment to the next smaller one, and number of sizes; the last is a fifth of the first."""
@@ -116,7 +120,7 @@ class Plan:
         setpoints[3, within] = np.where(time_in_pass < self.experiment.duration, self.coil(time_in_pass), 0.0)
         return SetpointSeries(*setpoints.reshape(4, *times.shape))
 
-    def ending_after(self, time: float) -> "Plan":
+    def ending_after(self, time: float) -> Plan:
         """Return the plan that ends with the first pass whose end comes after a time in s; until then it is the same.
 
         A rod that is on its way from one pass to the next goes through that one.

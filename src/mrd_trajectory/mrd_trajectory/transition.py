@@ -8,15 +8,20 @@ All three keep position, velocity and acceleration continuous:
 - ``quintic``: one polynomial of fifth order (minimum jerk from rest to rest; Flash & Hogan 1985).
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import PPoly
-from scipy.optimize import brentq
+import scipy
 
 from mrd_base import InputError
 from mrd_trajectory.limits import Limits
 from mrd_trajectory.path import MotionState, concatenate, constant_jerk_path, largest_magnitude, quintic_hermite
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 # Relative excess over a limit that rounding errors may cause.
 TOLERANCE = 1e-6
@@ -191,7 +196,7 @@ def _linear(start: MotionState, end: MotionState, limits: Limits) -> PPoly:
     elif distance <= travel(-top):
         middle = cruising(-top, (travel(-top) - distance) / top)
     else:
-        middle = cruising(brentq(lambda speed: travel(speed) - distance, -top, top, xtol=1e-15, rtol=1e-15))
+        middle = cruising(scipy.optimize.brentq(lambda speed: travel(speed) - distance, -top, top, xtol=1e-15, rtol=1e-15))
     jerk = float(np.copysign(limits.jerk, end.acceleration))
     last_ramp = constant_jerk_path(MotionState(last_position, last_velocity), [ramp_duration], [jerk])
     return concatenate([first_ramp, middle, last_ramp])

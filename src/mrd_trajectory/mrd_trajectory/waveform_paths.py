@@ -1,10 +1,13 @@
 """Paths of rod and coil over one pass of their waveforms."""
 
+from __future__ import annotations
+
 import itertools
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PPoly
+import scipy
 
 from mrd_base import InputError
 from mrd_base.config import yaml_key
@@ -15,6 +18,9 @@ from mrd_trajectory.path import MotionState, concatenate, constant_jerk_path, cu
 from mrd_trajectory.transition import corner, transition
 from mrd_trajectory.waveforms import Corners, Holds, Samples, Shape, Smooth, Waveform
 from mrd_trajectory.waveforms.waveform import Array, fields_in
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 # Points of the spline in a period of the highest frequency; the quintic between them errs by 1e-9 of the amplitude.
 _POINTS_PER_PERIOD = 32
@@ -37,10 +43,12 @@ def coil_path(experiment: Experiment, limits: Limits) -> PPoly:
         case Smooth():
             path = _smooth_path(shape, "coil", experiment.duration)
         case Holds():
-            path = PPoly(shape.levels[None, :], np.append(shape.times, max(experiment.duration, shape.times[-1]) + 1))
+            path = scipy.interpolate.PPoly(
+                shape.levels[None, :], np.append(shape.times, max(experiment.duration, shape.times[-1]) + 1)
+            )
         case Corners() | Samples():
             times, levels = _distinct_points(shape)
-            path = PPoly(np.array([np.diff(levels) / np.diff(times), levels[:-1]]), times)
+            path = scipy.interpolate.PPoly(np.array([np.diff(levels) / np.diff(times), levels[:-1]]), times)
     path = cut(path, experiment.duration)
     check_coil(experiment.coil, path, limits)
     return path
@@ -52,8 +60,8 @@ def rod_path(shape: Shape, experiment: Experiment, limits: Limits, move_limits: 
         case Smooth():
             return _smooth_path(shape, "rod", experiment.duration)
         case Samples():
-            spline = CubicSpline(shape.times, shape.levels)
-            return concatenate([PPoly(spline.c, spline.x)])
+            spline = scipy.interpolate.CubicSpline(shape.times, shape.levels)
+            return concatenate([scipy.interpolate.PPoly(spline.c, spline.x)])
         case Holds():
             return _path_of_moves(shape, experiment, move_limits)
         case Corners():
@@ -123,5 +131,5 @@ def _path_with_rounded_corners(shape: Corners, experiment: Experiment, limits: L
             turn = corners[pairs[i]]
             coefficients = turn.c.copy()
             coefficients[-1] += levels[i + 1] - slope * halves[i + 1]
-            paths.append(PPoly(coefficients, turn.x))
+            paths.append(scipy.interpolate.PPoly(coefficients, turn.x))
     return concatenate(paths)

@@ -10,10 +10,10 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+import scipy
 from numba import njit
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 Array = NDArray[np.float64]
 
@@ -138,10 +138,10 @@ def _polynomials(
         if terms == length:
             continue
         residual = squares - np.sum(coefficients[:, :terms] ** 2, axis=1)
-        fits = residual <= noise**2 * chdtri(length - terms, 1.0 - _ACCEPTED)
+        fits = residual <= noise**2 * scipy.special.chdtri(length - terms, 1.0 - _ACCEPTED)
         if length in _LONG:
             higher = np.sum(coefficients[:, terms : terms + _HIGHER_TERMS] ** 2, axis=1)
-            fits &= higher <= slow_noise**2 * chdtri(_HIGHER_TERMS, 1.0 - _ACCEPTED_LONG)
+            fits &= higher <= slow_noise**2 * scipy.special.chdtri(_HIGHER_TERMS, 1.0 - _ACCEPTED_LONG)
         yield starts[fits], np.ascontiguousarray(basis[:, :terms]), coefficients[fits, :terms]
 
 

@@ -4,9 +4,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
-from scipy.signal import zoom_fft
 
 from mrd_runs.run import Run
 from mrd_runs.signals.current import current_noise
@@ -91,7 +90,7 @@ def mains_lines(run: Run, current: Array) -> list[Line]:
         Current of the run in A without sensor noise.
     """
     change = np.abs(np.diff(current, prepend=run.current[0]))
-    largest_change_nearby = maximum_filter1d(change, 2 * int(_TRANSIENT * run.rate) + 1)
+    largest_change_nearby = scipy.ndimage.maximum_filter1d(change, 2 * int(_TRANSIENT * run.rate) + 1)
     usable = largest_change_nearby <= max(_SWITCH_NOISE * current_noise(run.current), _SMALLEST_SWITCH)
     return [find_line(run.force, run.time, frequency, usable) for frequency in MAINS_LINES]
 
@@ -156,7 +155,7 @@ def _strongest_frequency(values: Array, usable: NDArray[np.bool_], rate: float, 
     steps = math.ceil(reach * len(values) / rate * _FREQUENCY_STEPS)
     ends = np.array([nominal - reach, nominal + reach])
     spectrum, window = (
-        zoom_fft(series, limits, 2 * steps + 1, fs=rate, endpoint=True)
+        scipy.signal.zoom_fft(series, limits, 2 * steps + 1, fs=rate, endpoint=True)
         for series, limits in ((values, ends), (usable.astype(float), 2 * ends))
     )
     cosine, sine = ((1 + _INDISTINCT) * count + sign * window.real for sign in (1, -1))
@@ -183,7 +182,7 @@ def _running_mean(series: Array, samples: float) -> Array:
     """Return the running mean over a number of samples that need not be whole."""
     whole = int(samples)
     fraction = samples - whole
-    shorter, longer = (uniform_filter1d(series, size, mode="nearest") for size in (max(whole, 1), whole + 1))
+    shorter, longer = (scipy.ndimage.uniform_filter1d(series, size, mode="nearest") for size in (max(whole, 1), whole + 1))
     # The mean over the fractional window lies between those over the next shorter and the next longer window.
     weights = np.array([(1 - fraction) * whole, fraction * (whole + 1)])
     return np.asarray((weights[0] * shorter + weights[1] * longer) / weights.sum())

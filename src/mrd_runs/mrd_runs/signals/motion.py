@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import BPoly
 
 from mrd_base import InputError
 from mrd_runs.signals.kalman import draw_errors
@@ -132,7 +132,7 @@ def motion_between_samples(time: Array, motion: Motion, parts: int | NDArray[np.
     # The same as BPoly.from_derivatives, which works interval by interval and takes as long as a fit.
     leaving = x[:-1], x[:-1] + step * v[:-1] / 5, x[:-1] + step * (2 * v[:-1] / 5 + step * a[:-1] / 20)
     arriving = x[1:] - step * (2 * v[1:] / 5 - step * a[1:] / 20), x[1:] - step * v[1:] / 5, x[1:]
-    position = BPoly(np.stack([*leaving, *arriving]), time)
+    position = scipy.interpolate.BPoly(np.stack([*leaving, *arriving]), time)
     fine = subdivide(time, parts)
     return position(fine), position(fine, 1), position(fine, 2)
 

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import optimize
 
 from mrd_runs.signals.kalman import innovation_sums, smooth_states
 
@@ -197,7 +197,7 @@ def _fit_order(segments: Sequence[Segment], least_noise: float, order: int) -> M
 
     grid = np.linspace(*_log_interval_bounds(order), 10)
     best = int(np.argmax([model(value).log_likelihood for value in grid]))
-    optimum = optimize.minimize_scalar(
+    optimum = scipy.optimize.minimize_scalar(
         lambda value: -model(value).log_likelihood,
         bounds=(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]),
         method="bounded",
@@ -220,7 +220,7 @@ def _fit_order_with_accelerometer(segments: Sequence[Segment], least_noise: floa
     log_intervals, log_variances = np.linspace(*bounds, 9), np.linspace(-15.0, 15.0, 7)
     grid = [np.array([interval, variance, 1.0]) for interval in log_intervals for variance in log_variances]
     start = max(grid, key=lambda point: model(point, segments[::4]).log_likelihood)
-    optimum = optimize.minimize(
+    optimum = scipy.optimize.minimize(
         lambda point: -model(point).log_likelihood,
         start,
         method="Nelder-Mead",

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import max_len_seq
+import scipy
 
 from mrd_base import InputError, quantity
 from mrd_trajectory.waveforms.waveform import Holds, Waveform, level_field
@@ -27,7 +27,7 @@ class Prbs(Waveform):
         # All states of the register but zero are on one cycle, so each of them is a start.
         start = 1 + int(np.random.default_rng(self.seed).integers(2**self.order - 1))
         register = (start >> np.arange(self.order)) & 1
-        sequence: np.ndarray[tuple[int], np.dtype[np.int8]] = max_len_seq(self.order, register, count)[0]
+        sequence: np.ndarray[tuple[int], np.dtype[np.int8]] = scipy.signal.max_len_seq(self.order, register, count)[0]
         return sequence
 
     def shape(self, duration: float) -> Holds:

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfiltfilt
+import scipy
 
 from mrd_base import InputError, quantity
 from mrd_base.table import check_columns, read_csv
@@ -47,6 +46,6 @@ def _low_pass(times: Array, levels: Array, cutoff: float, name: str) -> tuple[Ar
     if cutoff >= 0.5 / step:
         raise InputError(f"{name}: cutoff_hz {cutoff:g} is not below half the sample rate, {0.5 / step:g} Hz")
     uniform = np.linspace(0, times[-1], max(round(times[-1] / step) + 1, 4))
-    filter_ = butter(2, cutoff * step * 2, output="sos")
+    filter_ = scipy.signal.butter(2, cutoff * step * 2, output="sos")
     pad = min(len(uniform) - 1, int(3 / (cutoff * step)))
-    return uniform, sosfiltfilt(filter_, CubicSpline(times, levels)(uniform), padlen=pad)
+    return uniform, scipy.signal.sosfiltfilt(filter_, scipy.interpolate.CubicSpline(times, levels)(uniform), padlen=pad)
