@@ -22,7 +22,8 @@ demo-control: build  ## run a hybrid test on the simulated bench: an emulated qu
 	@. ./env.sh; exec ros2 run mrd_control hybrid_test config/control/hybrid_test.yaml --simulated
 
 test: build lint  ## check style and types, then run all tests but the slow ones
-	@. ./env.sh; python -m pytest -n logical -m 'not slow and not realtime'; python -m pytest -m 'realtime and not slow'
+	@. ./env.sh; python -m pytest -n logical --dist loadfile -m 'not slow and not realtime'; \
+	python -m pytest -n 2 --dist loadfile -m 'realtime and not slow'
 
 lint: build  ## check style (ruff) and types (mypy)
 	@. ./env.sh; ruff format --check --quiet; ruff check; mypy $(addprefix -p ,$(TYPED))

@@ -58,6 +58,7 @@ def test_a_quote_holds_in_words_and_about_in_numbers():
     assert not says(quote.replace("joint", "spring"), quote)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_every_command_does_what_the_page_says(folder):
     printed = "\n".join(run(folder, command) for command in COMMANDS)

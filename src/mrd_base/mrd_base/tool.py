@@ -27,6 +27,11 @@ def run_tool(work: Callable[[], None]) -> None:
     The status is 0 on success; 2 after an `InputError` or a file that cannot be read or written, and 3 after a `FaultError`,
     with one line on stderr; and 130 after Ctrl-C.
     """
+    # Only a tool that has imported numba compiles. A log needs no word on why it takes longer once.
+    if "numba" in sys.modules and sys.stderr.isatty():
+        from mrd_base.compiling import tell_when_compiling
+
+        tell_when_compiling()
     try:
         work()
         sys.stdout.flush()

@@ -68,7 +68,7 @@ def widen(monkeypatch, effect):
 
 @pytest.mark.parametrize(
     ("change", "effect"),
-    [({"share": 0.08}, "load_cell_gain"), ({"mass": 12.0}, "moving_mass")],
+    [pytest.param({"share": 0.08}, "load_cell_gain", marks=pytest.mark.slow), ({"mass": 12.0}, "moving_mass")],
     ids=lambda value: str(value),
 )
 def test_a_change_is_named_although_the_model_has_another_form(change, effect, monkeypatch):
@@ -83,7 +83,7 @@ def test_a_change_is_named_although_the_model_has_another_form(change, effect, m
 
 @pytest.mark.parametrize(
     ("yielded", "viscous", "verdicts"),
-    [(0.85, 1.2, {"explained"}), (1.25, 1.0, {"explained", "ambiguous"})],
+    [(0.85, 1.2, {"explained"}), pytest.param(1.25, 1.0, {"explained", "ambiguous"}, marks=pytest.mark.slow)],
     ids=["weaker and thicker", "stronger"],
 )
 def test_another_fluid_is_not_taken_for_an_error_of_a_sensor(yielded, viscous, verdicts):
@@ -103,7 +103,7 @@ def test_another_fluid_needs_a_reference():
     assert "fluid_change" in candidates_for((), is_change=True)
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_nothing_is_named_in_single_runs_where_nothing_changed(seed):
     effects = (*CANDIDATES, "coil_lag", "thermal_fade", "flow_asymmetry", "seal_friction")
     diagnosis = diagnose(runs([seed]), "bouc_wen", reference=runs(BEFORE[:1]), effects=effects)
@@ -111,7 +111,7 @@ def test_nothing_is_named_in_single_runs_where_nothing_changed(seed):
     assert any("record at least two before and two after" in note for note in diagnosis.notes)
 
 
-@pytest.mark.parametrize("seeds", [BEFORE, AFTER], ids=["the same runs", "other runs"])
+@pytest.mark.parametrize("seeds", [pytest.param(BEFORE, marks=pytest.mark.slow), AFTER], ids=["the same runs", "other runs"])
 def test_nothing_is_named_where_nothing_changed(seeds):
     diagnosis = diagnose(runs(seeds), "bouc_wen", reference=runs(BEFORE), effects=CANDIDATES)
     assert diagnosis.causes == ()

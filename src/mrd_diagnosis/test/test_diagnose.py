@@ -236,7 +236,14 @@ def sines(model="bouc_wen", effects=None, **values):
     return [cut(run, 1.5, run.duration - 1.5) for run in recorded(effects, model, seed=1, only=only, **values)]
 
 
-@pytest.mark.parametrize("model", ["modified_dahl", "modified_lugre", "hyperbolic_tangent"])
+@pytest.mark.parametrize(
+    "model",
+    [
+        pytest.param("modified_dahl", marks=pytest.mark.slow),
+        "modified_lugre",
+        pytest.param("hyperbolic_tangent", marks=pytest.mark.slow),
+    ],
+)
 def test_at_one_speed_another_damper_model_is_not_taken_for_an_effect(model):
     diagnosis = diagnose(sines(model), "bouc_wen", effects=("joint_play", "seal_friction", "shear_thinning"))
     assert (diagnosis.verdict, diagnosis.causes) == ("unknown_effect", ())
@@ -355,7 +362,7 @@ def test_what_has_settled_is_stirred_once_also_in_runs_that_were_set_aside():
     assert diagnosis.gap.after.value < 1.2 * diagnosis.gap.noise_floor.value
 
 
-@pytest.mark.parametrize("frequency", [50.0, 60.0])
+@pytest.mark.parametrize("frequency", [50.0, pytest.param(60.0, marks=pytest.mark.slow)])
 def test_a_hum_is_found_whichever_the_mains_are(frequency):
     runs = recorded({"mains_hum": {"amplitude": 4.0, "frequency": frequency}}, rate=500)
     diagnosis = diagnose(runs, "bouc_wen", effects=("mains_hum", *FEW))
@@ -376,7 +383,7 @@ def test_a_known_filter_of_the_force_is_no_gap():
     assert [finding.severity for finding in known.findings if finding.kind == "filter"] == ["remark"] * len(runs)
 
 
-@pytest.mark.parametrize("frequency", [50.0, 60.02, 119.96])
+@pytest.mark.parametrize("frequency", [50.0, pytest.param(60.02, marks=pytest.mark.slow), 119.96])
 def test_a_strong_hum_in_slow_sampling_is_no_noise(frequency):
     phases = enumerate(recorded(rate=200))
     runs = [replace(run, force=run.force + 34.0 * np.cos(2 * np.pi * frequency * run.time + phase)) for phase, run in phases]

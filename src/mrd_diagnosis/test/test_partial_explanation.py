@@ -101,7 +101,11 @@ def test_the_remainder_takes_up_what_the_form_lacks_and_nothing_else(wrong_form)
 
 
 @pytest.mark.parametrize(
-    ("cause", "recorded"), [("moving_mass", {"effect": lambda signals: 4.0 * signals[3]}), ("coil_lag", {"lag": 0.012})]
+    ("cause", "recorded"),
+    [
+        ("moving_mass", {"effect": lambda signals: 4.0 * signals[3]}),
+        pytest.param("coil_lag", {"lag": 0.012}, marks=pytest.mark.slow),
+    ],
 )
 def test_a_cause_is_named_although_the_damper_has_another_form(cause, recorded, monkeypatch):
     size, *others = EFFECTS[cause].parameters
@@ -345,7 +349,10 @@ def with_formula_of_its_own(effect):
     return recorded
 
 
-@pytest.mark.parametrize("effect", ["magnetic_hysteresis", "side_load_friction", "cavitation"])
+@pytest.mark.parametrize(
+    "effect",
+    ["magnetic_hysteresis", *(pytest.param(name, marks=pytest.mark.slow) for name in ("side_load_friction", "cavitation"))],
+)
 def test_an_effect_with_another_formula_is_named_though_it_does_not_close_the_gap(effect):
     diagnosis = diagnose(
         with_formula_of_its_own(effect),
