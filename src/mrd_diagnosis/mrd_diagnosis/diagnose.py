@@ -26,7 +26,8 @@ from mrd_diagnosis.recordings.limitations import limitation_notes, untestable_ef
 from mrd_diagnosis.recordings.recording_set import RecordingSet, held_out_by
 from mrd_diagnosis.report.sentences import fault_sentence, imitation_note, verdict_sentence
 from mrd_diagnosis.search.alternative_models import OTHER_MODELS, best_model
-from mrd_diagnosis.search.model_comparison import ModelComparison
+from mrd_diagnosis.search.model_comparison import ModelComparison, as_it_is
+from mrd_diagnosis.simulator.in_the_loop import SimulatorInLoop
 from mrd_diagnosis.simulator.refit import refit_parameters
 from mrd_diagnosis.simulator.stand_in import note_on, represent
 from mrd_diagnosis.wrong_form.flexible_remainder import explainable_fraction
@@ -141,7 +142,7 @@ def diagnose(
         progress("done", 1.0)
         return _faulty(base, asked, findings)
     recordings = RecordingSet.prepare(runs, reference, held_out)
-    stand_in = None
+    stand_in, loop = None, None
     if simulator:
         progress("asking the simulator", 0.02)
         given = "" if model == BEST_MODEL else model
@@ -150,18 +151,19 @@ def diagnose(
         stand_in, recordings, limits = represent(simulator, recordings, scales, np.random.default_rng(seed), given)
         findings = (*findings, *limits)
         base, theta = stand_in.model, stand_in.theta
+        loop = SimulatorInLoop(simulator, base, theta) if simulator.answers_anew else None
     elif model == BEST_MODEL:
         progress("choosing the damper model", 0.02)
         tried = sorted({base.id, *OTHER_MODELS})
         base = best_model(base, thinned(recordings.after, MOST_SAMPLES), np.random.default_rng(seed))
-    diagnosis = _diagnose_physics(base, theta, candidates, recordings, findings, bench, asked, progress)
+    diagnosis = _diagnose_physics(base, theta, candidates, recordings, findings, bench, asked, progress, loop)
     chosen = ""
     if stand_in:
-        chosen = note_on(stand_in)
+        chosen = note_on(stand_in, asked_anew=loop is not None)
     elif model == BEST_MODEL:
         chosen = f"Of the damper models that were tried ({', '.join(tried)}), {base.id} predicts these recordings best."
-    notes = (*filter(None, [chosen]), *(simulator.notes if simulator else ()), *diagnosis.notes, *closed_loop_notes(runs))
-    return replace(diagnosis, notes=notes, stand_in=stand_in)
+    notes = (chosen, *(simulator.notes if simulator else ()), *diagnosis.notes, *closed_loop_notes(runs))
+    return replace(diagnosis, notes=tuple(filter(None, notes)), stand_in=stand_in)
 
 
 def choose_model(runs: Sequence[Run], seed: int = 0) -> DamperModel:
@@ -254,6 +256,7 @@ def _diagnose_physics(
     bench: GeneratorSettings | None,
     asked: _Asked,
     progress: Progress,
+    loop: SimulatorInLoop | None,
 ) -> Diagnosis:
     """Diagnose recordings that have no fault: fit, explain, judge, then measure, locate and advise."""
     rng = np.random.default_rng(asked.seed)
@@ -263,15 +266,18 @@ def _diagnose_physics(
     tried = [effect for effect in candidates if effect not in {entry.effect for entry in untestable}]
     progress("trying effects", 0.15)
 
+    in_loop = loop.compared if loop else as_it_is
+
     def part(stage: str, fraction: float) -> None:
         progress(stage, 0.15 + 0.75 * fraction)
 
     if recordings.is_change:
         explained = explain_change(weighting, base, tried, rng, lambda fraction: part("trying effects", fraction))
+        explained = replace(explained, complete=in_loop(explained.complete))
     else:
-        explained = explain_gap(weighting, base, null_errors, tried, rng, part)
+        explained = explain_gap(weighting, base, null_errors, tried, rng, part, in_loop)
     runs = [*asked.reference, *asked.runs]
-    judgement = judge(explained.explanation, explained.complete, findings, runs, rng)
+    judgement = judge(explained.explanation, explained.complete, findings, runs, rng, in_loop)
     if judgement.faults:
         progress("done", 1.0)
         faults = tuple(replace(finding, severity="fault") for finding in judgement.faults)
@@ -279,13 +285,14 @@ def _diagnose_physics(
         faulty = _faulty(model, asked, (*faults, *others))
         return replace(faulty, rejected=judgement.rejected, notes=(imitation_note(judgement.rejected),))
     explanation, complete = judgement.explanation, judgement.complete
-    verdict, comparison, chances = explanation.verdict, explanation.comparison, explanation.probabilities
+    verdict, comparison, chances = explanation.verdict, in_loop(explanation.comparison), explanation.probabilities
     if verdict == "no_gap":
         comparison, complete, chances = comparison.without_effects(), complete.without_effects(), {}
     listed, without_evidence = list_candidates(comparison, explained.singles, explained.null_gains, chances, rng)
 
     progress("measuring how far the gap closes", 0.9)
-    closure = compute_closure(complete, recordings.held_out, rng)
+    set_aside = recordings.held_out
+    closure = compute_closure(complete, set_aside, rng, loop.prepared(complete.best, set_aside) if loop else set_aside)
     if verdict != "no_gap":
         progress("locating the gap", 0.93)
     place = _locate(closure, verdict, rng)
@@ -333,6 +340,7 @@ def _diagnose_physics(
         residuals=closure.residuals,
         notes=(
             *notes,
+            *([loop.note(complete)] if loop else []),
             *_notes_on_change(len(asked.runs), len(asked.reference)),
             *limitation_notes(recordings.fitted, complete.weighting.noise),
         ),

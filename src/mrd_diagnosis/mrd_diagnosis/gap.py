@@ -13,7 +13,7 @@ from mrd_diagnosis.fitting.refit import Refit
 from mrd_diagnosis.fitting.weighting import Weighting
 from mrd_diagnosis.search.alternative_models import fit_alternative_models
 from mrd_diagnosis.search.effect_search import search_effects, tolerated_excess
-from mrd_diagnosis.search.model_comparison import compare_models, compare_on_all_samples
+from mrd_diagnosis.search.model_comparison import Compared, as_it_is, compare_models, compare_on_all_samples
 from mrd_diagnosis.wrong_form.partial_explanation import explain_in_part, rests_on_form
 from mrd_identification.preflight.excitation import repeats_one_stroke
 
@@ -28,6 +28,7 @@ def explain_gap(
     effects: Sequence[str],
     rng: np.random.Generator,
     progress: Progress = ignore,
+    asked: Compared = as_it_is,
 ) -> Explained:
     """Explain the gap of a model: by effects beside it, by another model, or by effects beside another form.
 
@@ -43,6 +44,8 @@ def explain_gap(
     rng : numpy Generator
     progress : callable
         Called with the step and the fraction of the work that is done.
+    asked : callable
+        Refits what a comparison chose with a user's simulator in the loop, where there is one.
     """
     chosen, fits = search_effects(
         weighting, base, effects, null_errors, lambda fraction: progress("trying effects", 0.4 * fraction)
@@ -52,7 +55,8 @@ def explain_gap(
     null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng)
     comparison = compare_models(weighting, base, chosen, fits, rng)
     p_values = {fit.effects[-1]: null_gains.p_value(fit.gain, fit.refit.problem) for fit in chosen}
-    complete = compare_on_all_samples(comparison, rng)
+    comparison = asked(comparison)
+    complete = asked(compare_on_all_samples(comparison, rng))
     other_models: dict[str, Refit] = {}
     chances = probabilities_of_alternatives(comparison, rng)
     verdict = decide(complete, base.chi_square, chances, p_values, rng)
@@ -80,5 +84,5 @@ def explain_gap(
             rng,
             lambda fraction: progress("looking for causes beside a wrong form", 0.5 + 0.5 * fraction),
         )
-        complete = compare_on_all_samples(explanation.comparison, rng)
+        complete = asked(compare_on_all_samples(explanation.comparison, rng))
     return Explained(explanation, complete, singles, null_gains, other_models)

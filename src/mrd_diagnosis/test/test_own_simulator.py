@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from mrd_base import InputError
 from mrd_diagnosis import diagnose, validate
@@ -20,7 +21,7 @@ from mrd_diagnosis.simulator.refit import refit_parameters
 from mrd_identification.export import export_damper, load_damper
 from mrd_identification.plot import write_plot
 from mrd_identification.recording import prepare_recording
-from mrd_runs import read_runs
+from mrd_runs import Run, read_runs
 from mrd_runs.scales import scales_of
 from mrd_sim.cli.simulator_options import parse_values_set
 from mrd_sim.damper import Damper
@@ -214,6 +215,92 @@ def test_a_weakness_of_the_simulator_is_told(runs, tmp_path, change, message):
         findings = check_simulator(simulator, recordings, forces)
     assert any(message in finding.text for finding in findings)
     assert all(finding.severity == "limitation" for finding in findings)
+
+
+UNUSUAL = """
+import numpy as np
+PARAMETERS = {"c": 900.0}
+def force(time, position, velocity, current, parameters):
+    where = 1.0 + 0.5 * np.sin(position / 4e-3)
+    shear = np.abs(velocity) ** 0.6 * np.sign(velocity)
+    return parameters["c"] * velocity * where + (60.0 + 1500.0 * current) * where * shear + 2e7 * position**3
+"""
+"""No model of the catalogue is near: its force depends on the position, with a power of the speed."""
+
+KNOWN: dict = {}
+exec(UNUSUAL, KNOWN)
+UNUSUAL_FORCE = KNOWN["force"]
+
+
+def unusual_force(x, v, i):
+    return UNUSUAL_FORCE(None, x, v, i, {"c": 900.0})
+
+
+def behind_play(time, x, v, i, play, resistance):
+    """The force behind a play, of which the rate of its elongation is searched at every step: e' = F / resistance within."""
+    e, forces = 0.0, np.zeros(len(time))
+    for k in range(1, len(time)):
+        dt = time[k] - time[k - 1]
+        low, high = (-0.5 * play - e) / dt, (0.5 * play - e) / dt
+
+        def beyond(rate, k=k, dt=dt, e=e):
+            return unusual_force(x[k] - e - rate * dt, v[k] - rate, i[k]) - resistance * rate
+
+        rate = high if beyond(high) >= 0.0 else low if beyond(low) <= 0.0 else brentq(beyond, low, high)
+        e += rate * dt
+        forces[k] = unusual_force(x[k] - e, v[k] - rate, i[k])
+    return forces
+
+
+def behind_lag(time, current, lag):
+    """The current behind a first-order lag."""
+    lagged = current.copy()
+    for k in range(1, len(time)):
+        mean = 0.5 * (current[k - 1] + current[k])
+        lagged[k] = mean + (lagged[k - 1] - mean) * np.exp(-(time[k] - time[k - 1]) / lag)
+    return lagged
+
+
+def recorded_with(what, divisions=4, rate=500.0, duration=4.0):
+    """Recordings of the unusual damper with a play of 0.4 mm or a lag of 15 ms, computed in finer steps, with noise."""
+    rng, runs = np.random.default_rng(1), []
+    time = np.arange(int(duration * rate * divisions)) / (rate * divisions)
+    for number, (amplitude, frequency, level) in enumerate([(8e-3, 1.0, 0.3), (5e-3, 2.0, 0.8), (9e-3, 1.5, 0.5)]):
+        x = amplitude * (np.sin(2 * np.pi * frequency * time) + 0.3 * np.sin(2.3 * frequency * time + 1.0))
+        v, i = np.gradient(x, time), np.full(len(time), level)
+        if what == "play":
+            force = behind_play(time, x, v, i, 4e-4, 2.5e4)
+        else:
+            i = 0.45 + 0.35 * np.tanh(20.0 * np.sin((8.0 + number) * time))
+            force = unusual_force(x, v, behind_lag(time, i, 0.015))
+        kept = slice(None, None, divisions)
+        samples = len(time[kept])
+        position, measured = x[kept] + rng.normal(0.0, 2e-6, samples), force[kept] + rng.normal(0.0, 2.0, samples)
+        runs.append(Run(f"run {number}", time[kept], position, v[kept], i[kept], measured))
+    return runs
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(("what", "size", "true"), [("play", "joint_play.play", 4e-4), ("lag", "coil_lag.lag", 0.015)])
+def test_effects_before_the_damper_act_through_the_simulator_itself(tmp_path, what, size, true):
+    """The model that stands for it leaves 17 % of its force, and gave a play of 0.36 mm or of 0.53 mm, as the model was."""
+    (tmp_path / "mine.py").write_text(UNUSUAL)
+    runs = recorded_with(what)
+    tried = ["joint_play", "coil_lag", "force_sensor_lag", "gas_spring"]
+    with open_simulator(tmp_path / "mine.py") as simulator:
+        diagnosis = diagnose(runs, "auto", simulator=simulator, effects=tried)
+        assert diagnosis.stand_in.error > 0.1
+        (cause,) = diagnosis.causes
+        assert cause.effect == size.partition(".")[0]
+        found = cause.parameters[size].value
+        assert found.value == pytest.approx(true, rel=0.04)
+        assert found.lower <= true <= found.upper
+        assert diagnosis.gap.closed_fraction.value > 0.95
+        assert any("mine.py itself answered" in note for note in diagnosis.notes)
+        # The corrected simulator predicts as well where it is asked once more.
+        write_gap_report(diagnosis, tmp_path / "gap")
+        validation = validate(load_damper(tmp_path / "gap" / "gap_report.json", anyway=True), runs, simulator=simulator)
+    assert validation.nrmse < 1.5 * diagnosis.gap.after.value
 
 
 def test_recorded_outputs_stand_for_a_closed_simulator(runs, fmu, tmp_path):

@@ -73,6 +73,7 @@ def c_source(
     before = _acting(model, ("drive", "magnetics"), "current", prefix, unit)
     after = _acting(model, ("fluid", "structure", "sensing"), "effective", prefix, unit)
     series = _series(model, len(state), prefix, unit) if model.series_elements else ""
+    added = "excess" if model.stands_for else "0.0"
     alone = f"{kernel}(1, q, s->inner + 2, &dt, &x, &v, &a, &force);"
     return Template(template("damper.c")).substitute(
         p=prefix,
@@ -101,7 +102,7 @@ def c_source(
         before=before,
         lag=lag,
         laws=laws,
-        damper="force = force_in_series(s, q, dt, x, v, a);" if series else alone,
+        damper=f"force = force_in_series(s, q, {added}, dt, x, v, a);" if series else alone,
         after=after,
         **_simulator_parts(model, plain, prefix, lag, laws, kernel),
     )
@@ -140,7 +141,7 @@ def _simulator_parts(
         "excess_between": ", g * s->excess + f * excess",
         "keep_excess": "    s->excess = excess;\n",
         "excess_now": ", excess",
-        "add_excess": "    force += excess;\n",
+        "add_excess": "" if model.series_elements else "    force += excess;\n",
         "plain_function": Template(template("plain.c")).substitute(
             p=prefix, parameters=parameters, place=place, lag=lag, laws=laws, kernel=kernel
         ),

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_base.config import parse_yaml
 from mrd_runs.signals.motion import smooth_motion
+from mrd_runs.signals.smoothed_run import Excess
 from mrd_sim.models import find_model
 from mrd_sim.path import Path, make_path
 
@@ -139,7 +140,7 @@ class Damper:
             )
         without = self.model.alone
         excess = np.asarray(simulator, np.float64) - without.force(without.vector(self.plain), path)
-        return replace(path, excess=np.interp(np.cumsum(path.dt), time - time[0], excess))
+        return replace(path, excess=Excess(np.interp(np.cumsum(path.dt), time - time[0], excess)))
 
     def advance(
         self,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mrd_runs import Run
 from mrd_runs.signals.mains import MAINS_LINES, Line, mains_lines
 from mrd_runs.signals.motion import motion_between_samples, subdivide, subdivided_indices
-from mrd_runs.signals.smoothed_run import SmoothedRun
+from mrd_runs.signals.smoothed_run import Excess, SmoothedRun
 from mrd_sim.lead_in import LeadIn
 
 Array = NDArray[np.float64]
@@ -56,8 +56,8 @@ class Path:
         Samples that are vertices, where not all are; the index of any other sample is that of the last vertex before it.
     lead_in : LeadIn or None
         Motion before the first sample, whose vertices come first; without one, a model begins at rest and unloaded.
-    excess : ndarray (m,) or None
-        Force in N that a simulator of the user's own has beyond the model that stands for it.
+    excess : Excess or None
+        Force on the vertices that a simulator of the user's own has beyond the model that stands for it.
     temperature : ndarray (m,) or None
         Measured temperature of the damper in K.
     """
@@ -72,7 +72,7 @@ class Path:
     smoothed: SmoothedRun | None = None
     kept: slice | None = None
     lead_in: LeadIn | None = None
-    excess: Array | None = None
+    excess: Excess | None = None
     temperature: Array | None = None
     _bare: "Path | None" = None
 
@@ -104,7 +104,7 @@ class Path:
             current=current,
             samples=bare.samples + len(before),
             lead_in=lead_in,
-            excess=None if bare.excess is None else np.concatenate([np.zeros(len(before)), bare.excess]),
+            excess=None if bare.excess is None else bare.excess.mapped(lambda series: np.pad(series, (len(before), 0))),
             temperature=None if bare.temperature is None else np.pad(bare.temperature, (len(before), 0), mode="edge"),
             _bare=bare,
         )
@@ -155,7 +155,7 @@ class Path:
             current=self.current[keep],
             samples=(np.cumsum(keep) - 1)[self.samples],
             kept=kept,
-            excess=None if self.excess is None else self.excess[keep],
+            excess=None if self.excess is None else self.excess.mapped(lambda series: series[keep]),
             temperature=None if self.temperature is None else self.temperature[keep],
         )
 
@@ -172,14 +172,15 @@ def _along(smoothed: SmoothedRun, parts: int | NDArray[np.intp]) -> Path:
         subdivide(time, parts), *motion_between_samples(time, smoothed.motion, parts), subdivide(smoothed.current, parts)
     )
 
-    def on_vertices(series: Array | None) -> Array | None:
-        return None if series is None else np.interp(np.cumsum(path.dt), time - time[0], series)
+    def on_vertices(series: Array) -> Array:
+        return np.interp(np.cumsum(path.dt), time - time[0], series)
 
+    temperature = _without_noise(smoothed.run)
     return replace(
         path,
         samples=path.samples[subdivided_indices(len(time), parts)],
-        excess=on_vertices(smoothed.excess),
-        temperature=on_vertices(_without_noise(smoothed.run)),
+        excess=None if smoothed.excess is None else smoothed.excess.mapped(on_vertices),
+        temperature=None if temperature is None else on_vertices(temperature),
     )
 
 

@@ -29,6 +29,9 @@ FORCE_TOLERANCE = 1e-6
 SHORTEST_STEP = 1e-9
 """s. In less nothing gives way, and speeds of elongation would be rounding."""
 
+AGAINST_ROD = 0.1
+"""Share of the rod's largest speed by which elements under a known force may move the damper against the rod."""
+
 
 _REALS, _MATRIX, _ADDRESSES = types.float64[::1], types.float64[:, ::1], types.intp[::1]
 
@@ -184,7 +187,7 @@ def _force_in_series(
         if 0.0 < dt[k] < SHORTEST_STEP:
             force[k] = root
             continue
-        step[0] = dt[k]
+        step[0], added = dt[k], force[k]
         vertex.a[0] = a[k]
         for i in range(len(q)):
             row[0, i] = q[i, k]
@@ -200,7 +203,7 @@ def _force_in_series(
             for i in range(states):
                 vertex.state[i] = state[i]
             call(functions[0], vertex)
-            value = vertex.force[0].real
+            value = vertex.force[0].real + added
             slope = min(slope_of(vertex.force[0]), 0.0)
             newton = (value - guess) / (1.0 - slope)
             if dt[k] == 0.0 or not abs(newton) > FORCE_TOLERANCE:  # "not" also ends the search where newton is no number
@@ -251,13 +254,60 @@ def force_in_series(functions: NDArray[np.intp], parameters: Array, elongations:
     elongations : ndarray (elements + 1,)
         Elongations, and after them the force; carried on.
     *arguments : ndarray
-        ``q`` (coefficients, m); state, dt, x, v, a, force as of the kernel; and ``solved`` (m, 2 + states). This is filled
-        with the F of the last call, next to the root, and with derivatives over F there: that of the damper's answer and
-        those of its state.
+        ``q`` (coefficients, m); state, dt, x, v, a as of the kernel; ``force`` (m,), which holds what is added to the
+        damper's force and is filled with the sum; and ``solved`` (m, 2 + states). This is filled with the F of the last
+        call, next to the root, and with derivatives over F there: that of the damper's answer and those of its state.
     """
     row = empty_duals((1, len(arguments[0])), 1)
     work = empty_duals(_length_of_work(len(parameters), len(arguments[1])), 1)
     _force_in_series(functions, as_duals(parameters, 1), row, work, elongations, *arguments)
+
+
+@_compiled(_matrix(_ONE), _vector(_ONE), *[_REALS] * 6)
+def _elongations_under(
+    functions: NDArray[np.intp],
+    parameters: Any,
+    work: Any,
+    elongations: Array,
+    dt: Array,
+    x: Array,
+    v: Array,
+    force: Array,
+    total: Array,
+) -> None:
+    count, against = len(elongations), AGAINST_ROD * np.abs(v).max()
+    elements = _elements(functions, parameters, work, count)
+    for i in range(count):
+        elements.before[i] = moving(elongations[i], 0.0)
+    for k in range(len(x)):
+        if dt[k] >= SHORTEST_STEP:
+            before = 0.0
+            for i in range(count):
+                before += elements.before[i].real
+            change = _elongate(elements, dt[k], moving(force[k], 0.0), moving(x[k], 0.0)).real - before
+            most = (max(v[k], 0.0) + against if change > 0.0 else against - min(v[k], 0.0)) * dt[k]
+            share = most / abs(change) if abs(change) > most else 1.0
+            for i in range(count):
+                elements.before[i] += share * (elements.after[i] - elements.before[i])
+        for i in range(count):
+            total[k] += elements.before[i].real
+    for i in range(count):
+        elongations[i] = elements.before[i].real
+
+
+def elongations_under(
+    functions: NDArray[np.intp], parameters: Array, elongations: Array, dt: Array, x: Array, v: Array, force: Array
+) -> Array:
+    """Return the elongation (m,) in m of all elements together under a force (m,) that is known.
+
+    The other arguments are those of `force_in_series`; ``elongations`` (elements,) is carried on. A force that does not go
+    with the elements would cross a play faster than the rod moves. It is crossed so fast at most that the damper moves
+    against the rod by `AGAINST_ROD`.
+    """
+    total = np.zeros(len(x))
+    work = empty_duals(_length_of_work(len(parameters), 0), 1)
+    _elongations_under(functions, as_duals(parameters, 1), work, elongations, dt, x, v, force, total)
+    return total
 
 
 _ALL = DualType(LANES)
@@ -303,7 +353,7 @@ def _derivatives_in_series(
             vertex.v[0] = v[k] - (elongation - sum_before) * (1.0 / dt[k])
         vertex.x[0] = x[k] - elongation
         call(functions[0], _with_row(vertex, q, k))
-        root = chained(force[k].real, 1.0 / (1.0 - solved[k, 1]), vertex.force[0])
+        root = chained(force[k].real, 1.0 / (1.0 - solved[k, 1]), vertex.force[0] + force[k])
         force[k] = root
         change = root - solved[k, 0]
         for i in range(states):
@@ -320,7 +370,8 @@ def _derivatives_in_series(
 def derivatives_in_series(functions: NDArray[np.intp], parameters: Array, elongations: Array, *arguments: Array) -> None:
     """Add to that force its derivatives, by the implicit function theorem.
 
-    The arguments are those of `force_in_series`, which has filled ``force`` and ``solved``; but ``q`` is (m, coefficients).
+    The arguments are those of `force_in_series`, which has filled the values of ``force`` and ``solved``; but ``q`` is
+    (m, coefficients), and the derivatives of ``force`` are still those of what is added to the damper's force.
     """
     work = empty_duals(_length_of_work(len(parameters), len(arguments[1])))
     _derivatives_in_series(functions, parameters, work, elongations, *arguments)

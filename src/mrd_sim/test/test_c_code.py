@@ -11,6 +11,7 @@ import pytest
 from numba import njit
 
 from mrd_base import InputError
+from mrd_runs.signals.smoothed_run import Excess
 from mrd_sim.c_code import c_source
 from mrd_sim.current import LAWS
 from mrd_sim.effects import EFFECTS
@@ -341,7 +342,7 @@ def test_the_force_of_a_simulator_gets_the_effects(tmp_path, effects):
     path = make_path(time, x, v, a, current)
     alone = replace(model, effects=(), stands_for="")
     excess = simulated - alone.force(alone.vector(plain), path)
-    path = replace(path, excess=np.interp(np.cumsum(path.dt), time - time[0], excess))
+    path = replace(path, excess=Excess(np.interp(np.cumsum(path.dt), time - time[0], excess)))
     expected = model.force(model.vector(values), path)
     np.testing.assert_allclose(force, expected, atol=1e-6)
     if not effects:

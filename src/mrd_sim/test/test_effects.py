@@ -12,7 +12,7 @@ from numba.core.dispatcher import Dispatcher
 from mrd_base import InputError
 from mrd_runs import Run
 from mrd_runs.signals.mains import Line
-from mrd_runs.signals.smoothed_run import smooth_run
+from mrd_runs.signals.smoothed_run import Excess, smooth_run
 from mrd_sim.dual_type import along, as_duals
 from mrd_sim.effects import EFFECTS, FAULTS, NEEDS, PLACES, STAGES, find_effects
 from mrd_sim.models import MODELS, find_model
@@ -759,3 +759,46 @@ def test_the_path_of_a_run_has_its_temperature_without_noise(rate):
     assert rms((path.temperature[path.samples] - true)[20:-20]) < 2.0 * 0.5 / window
     assert len(path.fine.temperature) == len(path.fine.dt)
     assert len(path.coarse(slice(0, None, 5)).temperature) == len(path.coarse(slice(0, None, 5)).dt)
+
+
+def _beside_a_simulator(effect, values):
+    """A model that stands for a simulator, with an effect, and a path with what the simulator has beyond it."""
+    model = replace(find_model("bouc_wen", effects=[effect]), stands_for="mine")
+    theta = model.vector({f"{effect}.{name}": value for name, value in values.items()})
+    time = np.linspace(0.0, 2.0, 2001)
+    x = 8e-3 * np.sin(2 * np.pi * 1.5 * time)
+    v, a = np.gradient(x, time), np.gradient(np.gradient(x, time), time)
+    path = make_bare_path(time, x, v, a, 0.3 + 0.2 * np.sin(9.0 * time))
+    name = f"{effect}.{next(iter(values))}"
+    slopes = {name: (0.9 * theta[model.names.index(name)], 1e5 * np.interp(np.cumsum(path.dt), time, x))}
+    return model, theta, replace(path, excess=Excess(np.interp(np.cumsum(path.dt), time, 3e4 * x), slopes)), name
+
+
+@pytest.mark.parametrize(("effect", "values"), [("joint_play", {"play": 4e-4}), ("coil_lag", {"lag": 0.015})])
+def test_what_a_simulator_has_beyond_its_model_carries_derivatives(effect, values):
+    model, theta, path, name = _beside_a_simulator(effect, values)
+    index = model.names.index(name)
+    moved = as_duals(theta)
+    moved.derivatives[index, 0] = 1.0
+    derivative = model.force(moved, path).derivatives[:, 0]
+    step = 1e-6 * theta[index]
+    above, below = (model.force(theta + sign * step * np.eye(len(theta))[index], path) for sign in (1.0, -1.0))
+    difference = (above - below) / (2.0 * step)
+    # Where the play's end is reached between two vertices, a difference says nothing.
+    close = np.abs(derivative - difference) < 1e-3 * np.abs(difference).max()
+    assert close.mean() > 0.99
+
+
+def test_the_damper_gets_the_motion_that_elements_in_series_leave():
+    model, theta, path, _ = _beside_a_simulator("series_compliance", {"compliance": 4e-7})
+    force = model.force_of_damper(theta, path)
+    x, v, a, current = model.motion_of_damper(theta, path, force)
+    later = path.samples[1:]
+    np.testing.assert_allclose(path.position[later] - x[1:], 4e-7 * force[later], atol=1e-12)
+    assert np.array_equal(a, path.acceleration[path.samples])
+    assert np.array_equal(current, path.current[path.samples])
+    # A force that does not go with a play moves the damper against the rod by a tenth of its speed at most.
+    model, theta, path, _ = _beside_a_simulator("joint_play", {"play": 4e-3, "resistance": 5e3})
+    _, v, *_ = model.motion_of_damper(theta, path, np.full(len(path.dt), 1e6))
+    rod = path.velocity[path.samples]
+    assert (v >= np.minimum(rod, 0.0) - 0.1001 * np.abs(rod).max()).all()

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
+from mrd_runs.signals.smoothed_run import Excess
 from mrd_sim.effects import find_effects
 from mrd_sim.fmu import fmu_archive, model_description
 from mrd_sim.models import MODELS, find_model
@@ -145,7 +146,7 @@ def test_the_force_of_a_simulator_gets_the_effects(tmp_path):
     slave.initialize()
     path, alone = make_path(*series), replace(model, effects=(), stands_for="")
     excess = simulated - alone.force(alone.vector(plain), path)
-    path = replace(path, excess=np.interp(np.cumsum(path.dt), series[0], excess))
+    path = replace(path, excess=Excess(np.interp(np.cumsum(path.dt), series[0], excess)))
     force = model.force(model.vector(plain | TYPICAL), path)
     assert np.abs(slave.follow(*series, simulated) - force).max() <= 1e-8 * np.abs(force).max()
     slave.library.fmi2FreeInstance(c_void_p(slave.instance))

@@ -56,7 +56,12 @@ class Closure:
     counted: tuple[RunResidual, ...]
 
 
-def compute_closure(comparison: ModelComparison, held_out: Sequence[Recording], rng: np.random.Generator) -> Closure:
+def compute_closure(
+    comparison: ModelComparison,
+    held_out: Sequence[Recording],
+    rng: np.random.Generator,
+    held_out_with_effects: Sequence[Recording] | None = None,
+) -> Closure:
     """Compute the errors of the model without and with the chosen effects.
 
     Parameters
@@ -66,6 +71,8 @@ def compute_closure(comparison: ModelComparison, held_out: Sequence[Recording], 
         Runs that were set aside from the start. Without them, each fitted run is judged by a fit to the others, and a run
         that exceeds the others by fits to all but one of its folds.
     rng : numpy Generator
+    held_out_with_effects : sequence of Recording, optional
+        The same runs with what a simulator of the user's own answers to them with the effects.
     """
     recordings = comparison.weighting.recordings
     excesses = [
@@ -80,10 +87,12 @@ def compute_closure(comparison: ModelComparison, held_out: Sequence[Recording], 
     changed = [run for run, recording in enumerate(recordings) if not recording.without_effects]
     noise = comparison.weighting.noise
     residuals = [
-        _run_residual(best, run, noise[run], before.known[run], after.known[run], excesses[run], by_folds[run])
+        _run_residual(
+            best, run, recordings[run], noise[run], before.known[run], after.known[run], excesses[run], by_folds[run]
+        )
         for run in changed
     ]
-    set_aside = _set_aside(comparison, held_out, rng)
+    set_aside = _set_aside(comparison, held_out, held_out_with_effects or held_out, rng)
     residuals += set_aside
     counted = tuple(set_aside or residuals)
     squares_before, squares_after, squares_noise, samples, draws = _bootstrap_units(counted, rng)
@@ -221,30 +230,39 @@ def _without_each_run(refit: Refit, comparison: ModelComparison) -> list[tuple[A
 
 
 def _run_residual(
-    best: Refit, run: int, noise: RunNoise, before: Array, after: Array, extrapolates: str, by_folds: bool
+    best: Refit, run: int, plain: Recording, noise: RunNoise, before: Array, after: Array, extrapolates: str, by_folds: bool
 ) -> RunResidual:
     problem, recording = best.problem, best.problem.recordings[run]
     modelled = problem.modelled(best.theta, run) + problem.remainder_of_run(best.coefficients, run)
     gain, offset, *_ = problem.whitenings[run].run_errors @ (recording.force - modelled)
-    return RunResidual(
-        recording, noise, before, after, float(offset), float(gain), extrapolates=extrapolates, by_folds=by_folds
-    )
+    return RunResidual(plain, noise, before, after, float(offset), float(gain), extrapolates=extrapolates, by_folds=by_folds)
 
 
-def _set_aside(comparison: ModelComparison, held_out: Sequence[Recording], rng: np.random.Generator) -> list[RunResidual]:
+def _set_aside(
+    comparison: ModelComparison, plain: Sequence[Recording], with_effects: Sequence[Recording], rng: np.random.Generator
+) -> list[RunResidual]:
     """Return the residuals of runs that were set aside; they count as recorded after the others."""
-    if not held_out:
+    if not plain:
         return []
     base, best, weighting = comparison.base, comparison.best, comparison.weighting
-    held_out = estimate_starts(best.problem.model, best.theta, [*weighting.recordings, *held_out])[-len(held_out) :]
-    noise = estimate_noise(held_out, best.problem.model, best.theta, rng)
-    extended = replace(weighting, recordings=[*weighting.recordings, *held_out], noise=[*weighting.noise, *noise])
-    fits = [replace(fit, problem=extended.problem(fit.problem.model, fit.theta)) for fit in (base, best)]
+    first = len(weighting.recordings)
+    with_effects = estimate_starts(best.problem.model, best.theta, [*best.problem.recordings, *with_effects])[first:]
+    noise = estimate_noise(with_effects, best.problem.model, best.theta, rng)
+    started = [
+        replace(
+            recording, path=recording.path.led_in(begun.path.lead_in), counted=begun.counted, other_starts=begun.other_starts
+        )
+        for recording, begun in zip(plain, with_effects, strict=True)
+    ]
+    fits = []
+    for fit, recordings in ((base, started), (best, with_effects)):
+        extended = replace(weighting, recordings=[*fit.problem.recordings, *recordings], noise=[*weighting.noise, *noise])
+        fits.append(replace(fit, problem=extended.problem(fit.problem.model, fit.theta)))
     residuals = []
-    for run, (recording, noise_of_run) in enumerate(zip(held_out, noise, strict=True), len(weighting.recordings)):
+    for run, (recording, noise_of_run) in enumerate(zip(started, noise, strict=True), first):
         before, after = (-error_of_run(fit.problem, fit.theta, run)[1] for fit in fits)
         excess = exceeded_ranges(recording, weighting.recordings)
-        residual = _run_residual(fits[1], run, noise_of_run, before, after, excess, False)
+        residual = _run_residual(fits[1], run, recording, noise_of_run, before, after, excess, False)
         residuals.append(replace(residual, held_out=True))
     return residuals
 

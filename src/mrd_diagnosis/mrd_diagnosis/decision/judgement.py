@@ -9,7 +9,7 @@ from mrd_diagnosis.closure.closure import closed_fraction_between
 from mrd_diagnosis.decision.explanation import Explanation, name_causes, whatever_the_form
 from mrd_diagnosis.decision.honesty import SEEN, Claim, Rule, clock_finding, imitating_limitations, rejecting_rule
 from mrd_diagnosis.diagnosis import AlternativeModel, Candidate, Cause, Finding, Rejected
-from mrd_diagnosis.search.model_comparison import ModelComparison, with_effects
+from mrd_diagnosis.search.model_comparison import Compared, ModelComparison, as_it_is, with_effects
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_runs import Run
 
@@ -45,6 +45,7 @@ def judge(
     findings: Sequence[Finding],
     runs: Sequence[Run],
     rng: np.random.Generator,
+    asked: Compared = as_it_is,
 ) -> Judgement:
     """Apply the honesty rules to the effects that an explanation would name.
 
@@ -61,6 +62,8 @@ def judge(
         Of the preflight check.
     runs : sequence of Run
     rng : numpy Generator
+    asked : callable
+        See `mrd_diagnosis.gap.explain_gap`.
     """
     causes = name_causes(replace(explanation, comparison=complete), rng)
     closed = closed_fraction_between(complete.base, complete.best, complete, rng).value
@@ -96,7 +99,7 @@ def judge(
             comparison=_with_only(explanation.comparison, effects),
             probabilities={effect: explanation.probabilities[effect] for effect in effects},
         )
-        complete = _with_only(complete, effects)
+        complete = asked(_with_only(complete, effects))
         causes = name_causes(replace(explanation, comparison=complete), rng)
         causes = tuple(whatever_the_form(cause, explanation) for cause in causes)
         return Judgement(explanation, complete, causes, tuple(rejected))

@@ -1,6 +1,6 @@
 """Model comparison: the chosen effects on the noise of the best model, and other effects in the place of each of them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Self
@@ -79,6 +79,15 @@ class ModelComparison:
             for effect, others in self.alternatives.items()
         }
         return replace(self, alternatives=alternatives, alternative_model=best)
+
+
+Compared = Callable[[ModelComparison], ModelComparison]
+"""What refits a comparison in another way."""
+
+
+def as_it_is(comparison: ModelComparison) -> ModelComparison:
+    """Return a comparison as it is."""
+    return comparison
 
 
 def compare_models(

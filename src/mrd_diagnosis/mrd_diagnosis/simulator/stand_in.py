@@ -16,6 +16,7 @@ from mrd_diagnosis.diagnosis import StandIn
 from mrd_diagnosis.fitting.base_fit import global_fit
 from mrd_diagnosis.recordings.recording_set import RecordingSet
 from mrd_diagnosis.search.alternative_models import OTHER_MODELS
+from mrd_diagnosis.simulator.in_the_loop import with_excess
 from mrd_diagnosis.simulator.self_check import check_simulator
 from mrd_diagnosis.wording.quantities import format_share
 from mrd_identification.least_squares import fit_least_squares
@@ -24,6 +25,7 @@ from mrd_identification.preflight.finding import Finding
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording, thinned
 from mrd_runs.scales import Scales
+from mrd_runs.signals.smoothed_run import Excess
 from mrd_sim.models import DamperModel, find_model
 from mrd_sim.path import run_path
 from mrd_sim.simulators.simulator import Simulator, signals_of
@@ -52,14 +54,15 @@ SIMPLER_MODELS = ("bingham", "biviscous", "hysteretic_biviscous", "polynomial")
 """Models whose loop has no width of its own, which simulators often have as well."""
 
 
-def note_on(stand_in: StandIn) -> str:
-    """Return what stands for a simulator, and how well."""
+def note_on(stand_in: StandIn, *, asked_anew: bool = True) -> str:
+    """Return what stands for a simulator, and how well; also for one that cannot be ``asked_anew`` about another motion."""
     text = f"The model {stand_in.model.id} stands for the simulator {stand_in.name}"
     if stand_in.error < EXACT:
         return f"{text}, whose force it reproduces exactly."
+    alone = "" if asked_anew else " Recordings cannot be asked about effects before the damper: there the model answers."
     return (
         f"{text}. Alone, it reproduces the simulator's force with an error of {format_share(stand_in.error)} (NRMSE); what "
-        "the simulator has beyond it is kept as it is."
+        f"the simulator has beyond it is kept as it is.{alone}"
     )
 
 
@@ -142,14 +145,14 @@ def represent(
     findings = check_simulator(simulator, recordings.fitted, fitted)
     stand_in = find_stand_in(simulator, recordings.fitted, fitted, scales, rng, model)
     before = len(recordings.before)
-    with_all = with_excess(stand_in.model, stand_in.theta, recordings.fitted, fitted)
+    with_all = beside_model(stand_in.model, stand_in.theta, recordings.fitted, fitted)
     represented = RecordingSet(
-        with_all[:before], with_all[before:], with_excess(stand_in.model, stand_in.theta, recordings.held_out, held_out)
+        with_all[:before], with_all[before:], beside_model(stand_in.model, stand_in.theta, recordings.held_out, held_out)
     )
     return stand_in, represented, findings
 
 
-def with_excess(
+def beside_model(
     model: DamperModel, theta: Array, recordings: Sequence[Recording], forces: Sequence[Array]
 ) -> tuple[Recording, ...]:
     """Return the recordings with what a simulator has beyond the model that stands for it, without effects.
@@ -165,8 +168,7 @@ def with_excess(
     """
 
     def of_one(recording: Recording, force: Array) -> Recording:
-        smoothed = replace(recording.smoothed, excess=force - model.alone.force(theta, recording.path.recorded))
-        return replace(recording, smoothed=smoothed, path=run_path(smoothed).led_in(recording.path.lead_in))
+        return with_excess(recording, Excess(force - model.alone.force(theta, recording.path.recorded)))
 
     return tuple(in_threads(lambda pair: of_one(*pair), list(zip(recordings, forces, strict=True))))
 

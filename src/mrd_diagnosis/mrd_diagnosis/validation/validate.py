@@ -13,7 +13,8 @@ from mrd_diagnosis.diagnosis import Region, RunNoise
 from mrd_diagnosis.localisation.localise import localise
 from mrd_diagnosis.noise.noise_model import estimate_noise
 from mrd_diagnosis.recordings.recording_set import RecordingSet
-from mrd_diagnosis.simulator.stand_in import represent, simulated_forces, with_excess
+from mrd_diagnosis.simulator.in_the_loop import SimulatorInLoop
+from mrd_diagnosis.simulator.stand_in import beside_model, represent, simulated_forces
 from mrd_identification.export import load_damper
 from mrd_identification.fit import Fit, RunResult, evaluate_model
 from mrd_identification.metrics import metrics, nrmse
@@ -162,7 +163,10 @@ def _corrected(damper: Damper, recordings: Sequence[Recording], simulator: Simul
             f"the diagnosis corrects the simulator {damper.model.stands_for}; give it as well, with --simulator"
         )
     plain = damper.model.alone.vector(damper.plain)
-    return with_excess(damper.model, plain, recordings, simulated_forces(simulator, recordings))
+    represented = beside_model(damper.model, plain, recordings, simulated_forces(simulator, recordings))
+    if not simulator.answers_anew:
+        return represented
+    return SimulatorInLoop(simulator, damper.model, plain).corrected(damper.model, damper.theta, represented)
 
 
 def _validated(result: RunResult, noise: RunNoise, exceeds: str, offsets: bool, gains: bool) -> ValidatedRun:

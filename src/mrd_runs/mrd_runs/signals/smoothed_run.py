@@ -1,7 +1,8 @@
 """A run with its smoothed signals, which every analysis uses: the motion, and the current without sensor noise."""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +20,27 @@ far too small."""
 
 
 @dataclass(frozen=True, eq=False)
+class Excess:
+    """Force of a simulator of the user's own beyond the damper model that stands for it, near certain sizes of effects.
+
+    Attributes
+    ----------
+    force : ndarray (n,)
+        N.
+    slopes : mapping
+        For each parameter of effects on which it depends, by name: the value at which ``force`` was found, and the
+        derivative (n,) there. Empty where no effect changes the simulator's motion or current.
+    """
+
+    force: Array
+    slopes: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
+
+    def mapped(self, function: Callable[[Array], Array]) -> "Excess":
+        """Return the excess with a linear function applied to its series."""
+        return Excess(function(self.force), {name: (at, function(slope)) for name, (at, slope) in self.slopes.items()})
+
+
+@dataclass(frozen=True, eq=False)
 class SmoothedRun:
     """A run and its smoothed signals.
 
@@ -30,14 +52,14 @@ class SmoothedRun:
         Smoothed position, velocity and acceleration.
     current : ndarray (n,)
         Measured current in A, without the noise of its sensor.
-    excess : ndarray (n,) or None
-        Force in N of a simulator of the user's own beyond the damper model that stands for it; None without one.
+    excess : Excess or None
+        Force at the samples of a simulator of the user's own beyond the damper model that stands for it; None without one.
     """
 
     run: Run
     motion: Motion
     current: Array
-    excess: Array | None = None
+    excess: Excess | None = None
 
     @cached_property
     def current_errors(self) -> Array:

@@ -6,13 +6,16 @@ enum { ELEMENTS = $elements, ELONGATIONS = $elongations, FORCE_BEFORE = ELONGATI
 static const double shortest_step = $shortest;  /* s; in less nothing gives way, and speeds of elongation would be rounding */
 static const double tolerance = 1e-9;  /* N */
 
-/* A force that is tried: what the damper answers beyond it, and the elongations and the state of the damper that are left. */
+/*
+ * A force that is tried: what the damper answers beyond it, including what is added to its force, and the elongations and the
+ * state of the damper that are left.
+ */
 typedef struct {
     double force, excess, elongations[ELEMENTS], inner[$states];
 } trial;
 
 static trial attempt(
-    const ${p}_state *s, const double *q, double force, double dt, double x, double v, double a)
+    const ${p}_state *s, const double *q, double force, double added, double dt, double x, double v, double a)
 {
     trial t = {.force = force};
     memcpy(t.elongations, s->inner + ELONGATIONS, sizeof t.elongations);
@@ -24,21 +27,22 @@ $elongate    }
         v -= dt > 0.0 ? (t.elongations[i] - s->inner[ELONGATIONS + i]) / dt : 0.0;
     }
     $kernel(1, q, t.inner + 2, &dt, &x, &v, &a, &t.excess);
-    t.excess -= force;
+    t.excess += added - force;
     return t;
 }
 
 /* By false position between a force and the damper's answer to it; in between by halving, which never fails. */
-static double force_in_series(${p}_state *s, const double *q, double dt, double x, double v, double a)
+static double force_in_series(
+    ${p}_state *s, const double *q, double added, double dt, double x, double v, double a)
 {
     if (0.0 < dt && dt < shortest_step) {
         return s->inner[FORCE_BEFORE];
     }
-    trial other = attempt(s, q, s->inner[FORCE_BEFORE], dt, x, v, a);
-    trial t = attempt(s, q, other.force + other.excess, dt, x, v, a);
+    trial other = attempt(s, q, s->inner[FORCE_BEFORE], added, dt, x, v, a);
+    trial t = attempt(s, q, other.force + other.excess, added, dt, x, v, a);
     for (int i = 1; i < 200 && fabs(t.excess) > tolerance && fabs(t.force - other.force) > tolerance; i++) {
         const double share = i % 3 ? t.excess / (t.excess - other.excess) : 0.5;
-        const trial next = attempt(s, q, t.force + share * (other.force - t.force), dt, x, v, a);
+        const trial next = attempt(s, q, t.force + share * (other.force - t.force), added, dt, x, v, a);
         if ((next.excess > 0.0) != (t.excess > 0.0)) {
             other = t;
         } else {

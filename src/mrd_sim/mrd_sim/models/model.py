@@ -12,13 +12,20 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_runs.scales import REFERENCE, Scales
 from mrd_sim.current import LAWS, evaluate_coefficients, lagged_current, slope_factors
-from mrd_sim.dual_type import LANES, Duals, empty_duals, like
+from mrd_sim.dual_type import LANES, Duals, columns_of, empty_duals, like
 from mrd_sim.effects.effect import Effect, Stage
 from mrd_sim.lanes import CANDIDATES, force_in_lanes, runs_in_lanes
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.parameter import Parameter
 from mrd_sim.path import Path
-from mrd_sim.series_elements import MOST_IN_SERIES, MOST_PARAMETERS, addresses, derivatives_in_series, force_in_series
+from mrd_sim.series_elements import (
+    MOST_IN_SERIES,
+    MOST_PARAMETERS,
+    addresses,
+    derivatives_in_series,
+    elongations_under,
+    force_in_series,
+)
 
 Array = NDArray[np.float64]
 Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
@@ -318,11 +325,60 @@ class DamperModel:
             name = path.smoothed.run.name if path.smoothed else "the motion"
             effects = ", ".join(effect.id for effect in self.effects if effect.coefficients is not None)
             raise InputError(f"{name} has no temperature of the damper, which {effects} needs; record it, or try without")
-        if state is None:
-            state = self.initial_state(path)
-        if self.follows_force:
-            path = path.fine
-        state = like(theta, state)
+        path, state, (x, v, a, current, force) = self._damper_alone(theta, path, state)
+        self._act(("fluid", "structure"), theta, path, (x, v, a, current, force), state)
+        on_rod = force[path.samples[samples]]
+        if not any(effect.stage == "sensing" for effect in self.effects):
+            return on_rod, on_rod
+        self._act(("sensing",), theta, path, (x, v, a, current, force), state)
+        return on_rod, force[path.samples[samples]]
+
+    def force_of_damper(self, theta: Array, path: Path, state: Array | None = None) -> Array:
+        """Return the force (m,) in N of the damper itself, before effects behind it, on the vertices of `integrated`.
+
+        Arguments as of `force`.
+        """
+        return self._damper_alone(theta, path, state)[2][-1]
+
+    def motion_of_damper(
+        self, theta: Array, path: Path, force: Array, state: Array | None = None
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return what the effects before the damper leave of motion and current, at the samples of a path.
+
+        Effects of drive and magnetics change the signals; elements in series take a part of the motion.
+
+        Parameters
+        ----------
+        theta : ndarray (parameters,)
+        path : Path
+        force : ndarray (m,)
+            Force in N under which elements in series give way, on the vertices of `integrated`.
+        state : ndarray, optional
+            As of `force`; changed in place.
+
+        Returns
+        -------
+        position, velocity, acceleration, current : ndarray (n,)
+            m, m/s, m/s², A. The acceleration is that of the rod, which models get behind elements in series, too. The
+            current is the one before the model's own lag.
+        """
+        path, state, (x, v, a, current, _) = self._before_damper(theta, path, state)
+        chosen = path.samples
+        if not self.series_elements:
+            return x[chosen], v[chosen], a[chosen], current[chosen]
+        parameters, elongations = self._parameters_in_series(theta), state[-len(self.series_elements) - 1 : -1]
+        elongation = elongations_under(self._functions(1), parameters, elongations, path.dt, x, v, force)
+        speed = np.divide(np.diff(elongation, prepend=elongation[:1]), path.dt, out=np.zeros(len(x)), where=path.dt > 0.0)
+        return x[chosen] - elongation[chosen], v[chosen] - speed[chosen], a[chosen], current[chosen]
+
+    def integrated(self, path: Path) -> Path:
+        """Return the path with the vertices along which the model is integrated."""
+        return path.fine if self.follows_force else path
+
+    def _before_damper(self, theta: Array, path: Path, state: Array | None) -> tuple[Path, Array, tuple[Array, ...]]:
+        """Return the path that is integrated, the state, and the signals behind the effects of drive and magnetics."""
+        state = like(theta, self.initial_state(path) if state is None else state)
+        path = self.integrated(path)
         x, v, a, current, force = (
             like(theta, series)
             for series in (path.position, path.velocity, path.acceleration, path.current, np.zeros(len(path.dt)))
@@ -330,7 +386,15 @@ class DamperModel:
         if self.effects and theta.dtype == float:  # effects change the signals in place
             x, v, a, current = (series.copy() for series in (x, v, a, current))
         self._act(("drive", "magnetics"), theta, path, (x, v, a, current, force), state)
+        return path, state, (x, v, a, current, force)
+
+    def _damper_alone(self, theta: Array, path: Path, state: Array | None) -> tuple[Path, Array, tuple[Array, ...]]:
+        """Return the path that is integrated, the state, and the signals with the force of damper and elements in series."""
+        path, state, (x, v, a, current, force) = self._before_damper(theta, path, state)
         current = self._lagged(theta, state, path.dt, current)
+        excess = self._excess(theta, path)
+        if excess is not None and self.series_elements:
+            force = excess
         inner = state[2 : 2 + self.states]
         parameters = self._parameters_in_series(theta)
         in_blocks = bool(self.series_elements) or isinstance(theta, Duals)
@@ -343,15 +407,19 @@ class DamperModel:
                 self._run_in_series(parameters, state[-len(self.series_elements) - 1 :], rows, *arguments)
             else:
                 self.kernel(rows, *arguments)
-        if self.stands_for and path.excess is not None:
-            values = force.real if isinstance(force, Duals) else force
-            values += path.excess
-        self._act(("fluid", "structure"), theta, path, (x, v, a, current, force), state)
-        on_rod = force[path.samples[samples]]
-        if not any(effect.stage == "sensing" for effect in self.effects):
-            return on_rod, on_rod
-        self._act(("sensing",), theta, path, (x, v, a, current, force), state)
-        return on_rod, force[path.samples[samples]]
+        if excess is not None and not self.series_elements:
+            columns_of(force)[...] += columns_of(excess)
+        return path, state, (x, v, a, current, force)
+
+    def _excess(self, theta: Array, path: Path) -> Array | None:
+        """Return what a simulator has beyond the model along a path (m,), in numbers of the type of ``theta``."""
+        if not self.stands_for or path.excess is None:
+            return None
+        excess = like(theta, path.excess.force.copy())
+        for name, (value, slope) in path.excess.slopes.items():
+            moved = columns_of(theta)[self.names.index(name)].copy()
+            columns_of(excess)[...] += np.multiply.outer(slope, moved - np.eye(1, moved.size).reshape(moved.shape) * value)
+        return excess
 
     @cached_property
     def needs_temperature(self) -> bool:
@@ -389,7 +457,10 @@ class DamperModel:
         return parameters
 
     def _run_in_series(self, parameters: Array, elongations: Array, rows: Array, *others: Array) -> None:
-        """Fill the force of the damper and the elements in series with it: values first, then their derivatives."""
+        """Fill the force of the damper and the elements in series with it: values first, then their derivatives.
+
+        The force holds what is added to the damper's.
+        """
         solved = np.empty((len(rows), 2 + self.states))
         if not isinstance(parameters, Duals):
             force_in_series(self._functions(1), parameters, elongations, rows.T, *others, solved)

@@ -41,6 +41,7 @@ class AdjustedSimulator(Simulator):
             name: replace(parameter, value=values.get(name, parameter.value))
             for name, parameter in simulator.parameters.items()
         }
+        self.answers_anew = simulator.answers_anew
         self.notes = (*simulator.notes, *notes)
         self.limitations = simulator.limitations
 

@@ -31,6 +31,8 @@ class RecordedSimulator(Simulator):
         One for each run of the analysis; which belongs to which, the motion tells. Their rate may be another one.
     """
 
+    answers_anew = False
+
     def __init__(self, runs: Sequence[Run]) -> None:
         self.runs = tuple(runs)
         self.name = "of the recordings" if len(runs) > 1 else f"of {runs[0].name}"

@@ -61,6 +61,8 @@ class Simulator(ABC):
         What opens it, as on the command line (`mrd_sim.simulators.opening.open_simulator`).
     parameters : mapping
         What may be changed, by name.
+    answers_anew : bool
+        Whether it answers to any motion; recordings answer to their own only.
     notes : tuple of str
         What is to be known of how it is asked, such as which variables are which signals.
     limitations : tuple of str
@@ -70,6 +72,7 @@ class Simulator(ABC):
     name: str
     source: str
     parameters: Mapping[str, SimulatorParameter]
+    answers_anew: bool = True
     notes: tuple[str, ...] = ()
     limitations: tuple[str, ...] = ()
 
