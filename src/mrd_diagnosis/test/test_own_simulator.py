@@ -17,6 +17,7 @@ from mrd_diagnosis.cli.diagnose import print_summary
 from mrd_diagnosis.report.gap_file import to_json
 from mrd_diagnosis.report.page import page_content, write_gap_report
 from mrd_diagnosis.report.sentences import next_command
+from mrd_diagnosis.report.validation_page import write_validation
 from mrd_diagnosis.simulator.refit import refit_parameters
 from mrd_identification.export import export_damper, load_damper
 from mrd_identification.plot import write_plot
@@ -147,6 +148,17 @@ def test_what_a_simulator_has_beyond_its_model_is_no_noise(runs, tmp_path):
     with open_simulator(tmp_path / "mine.py") as simulator:
         validation = validate(simulator, runs[:2])
     assert validation.noise_floor < 0.2 * validation.nrmse
+
+
+def test_validation_tells_the_weaknesses_of_a_simulator(runs, tmp_path):
+    late = SIMULATOR.replace("return ", "F = ") + "    return np.concatenate([F[:1], F[:-1]])\n"
+    (tmp_path / "mine.py").write_text(late)
+    with open_simulator(tmp_path / "mine.py") as simulator:
+        validation = validate(simulator, runs[:1])
+    page = write_validation(validation, tmp_path / "validation")
+    told = json.loads(page.with_suffix(".json").read_text())["limitations"]
+    assert any("is late by one step" in sentence for sentence in told)
+    assert "is late by one step" in page.read_text()
 
 
 def test_a_simulator_that_knows_the_recorded_stroke_only_is_enough(runs, tmp_path):

@@ -77,6 +77,8 @@ def work() -> None:
         )
     page = write_validation(validation, folder)
     print(validation_sentence(validation))
+    for finding in validation.limitations:
+        print(f"{finding.severity}: {finding.sentence}")
     above = arguments.limit is not None and not 100.0 * validation.nrmse <= arguments.limit
     if arguments.limit is not None:
         print(f"{'Above' if above else 'Within'} the limit of {arguments.limit:g} %.")

@@ -64,6 +64,7 @@ def write_validation(validation: Validation, folder: str | Path) -> Path:
         ],
         rows=[_row(run) for run in by_error],
         fitted_known=validation.fitted_known,
+        limitations=[finding.sentence for finding in validation.limitations],
         loops=to_html(figures.loops(results)),
         over_time=[
             (
@@ -101,6 +102,7 @@ def to_json(validation: Validation) -> dict[str, Any]:
             }
             for run in validation.runs
         ],
+        "limitations": [finding.sentence for finding in validation.limitations],
         "versions": versions(),
     }
 

@@ -19,6 +19,7 @@ from mrd_identification.export import load_damper
 from mrd_identification.fit import Fit, RunResult, evaluate_model
 from mrd_identification.metrics import metrics, nrmse
 from mrd_identification.parallel import in_threads
+from mrd_identification.preflight.finding import Finding
 from mrd_identification.recording import Recording, prepare_recording
 from mrd_identification.run_start import estimate_starts
 from mrd_runs import Run
@@ -70,6 +71,8 @@ class Validation:
         Where the error beyond noise lies, most significant first.
     fitted_known : bool
         Whether the runs to which the damper was fitted are known, so that `ValidatedRun.exceeds` says something.
+    limitations : tuple of Finding
+        Weaknesses of a user's simulator that is validated; see `mrd_diagnosis.simulator.self_check`.
     """
 
     damper: Damper
@@ -79,6 +82,7 @@ class Validation:
     noise_floor: float
     where: tuple[Region, ...]
     fitted_known: bool
+    limitations: tuple[Finding, ...] = ()
 
 
 def validate(
@@ -119,8 +123,9 @@ def validate(
         values = dict(zip(damper.model.names, map(float, damper.theta), strict=True))
         damper = Damper(damper.model.id, values, damper.model.laws, {effect.id: {} for effect in damper.model.effects})
     recordings: Sequence[Recording] = in_threads(prepare_recording, runs)
+    limitations: tuple[Finding, ...] = ()
     if isinstance(damper, Simulator):
-        damper, recordings = _represented(damper, recordings, seed)
+        damper, recordings, limitations = _represented(damper, recordings, seed)
     elif not isinstance(damper, Damper):
         damper = load_damper(damper)
     if recordings[0].smoothed.excess is None:
@@ -134,20 +139,28 @@ def validate(
         _validated(result, of_run, exceeded_ranges(recording, before), offsets, gains)
         for result, of_run, recording in zip(results, noise, recordings, strict=True)
     )
-    return _validation(damper, validated, recordings, noise, fitted_known=bool(fitted))
+    validation = _validation(damper, validated, recordings, noise, fitted_known=bool(fitted))
+    return replace(validation, limitations=limitations)
 
 
-def _represented(simulator: Simulator, recordings: Sequence[Recording], seed: int) -> tuple[Damper, Sequence[Recording]]:
-    """Return the damper model that stands for a simulator, and the recordings with what the simulator has beyond it."""
+def _represented(
+    simulator: Simulator, recordings: Sequence[Recording], seed: int
+) -> tuple[Damper, Sequence[Recording], tuple[Finding, ...]]:
+    """Return the damper model that stands for a simulator, the recordings with what it has beyond it, and what limits it."""
     given = RecordingSet((), tuple(recordings), ())
     scales = scales_of([recording.run for recording in recordings])
-    stand_in, represented, _ = represent(simulator, given, scales, np.random.default_rng(seed))
+    stand_in, represented, limitations = represent(simulator, given, scales, np.random.default_rng(seed))
     values = stand_in.values
-    return Damper(stand_in.model.id, values, stand_in.model.laws, None, simulator.name, values), represented.after
+    damper = Damper(stand_in.model.id, values, stand_in.model.laws, None, simulator.name, values)
+    return damper, represented.after, limitations
 
 
 def _corrected(damper: Damper, recordings: Sequence[Recording], simulator: Simulator | None) -> Sequence[Recording]:
-    """Return the recordings; where a damper corrects a simulator, with what this has beyond the model that stands for it."""
+    """Return the recordings; where a damper corrects a simulator, with what this has beyond the model that stands for it.
+
+    It answers to the motion and the current that the effects leave. What a play or a compliance leaves depends on the force
+    in it, for which the measured one counts (`mrd_diagnosis.simulator.in_the_loop.forces_in_series`).
+    """
     if not damper.model.stands_for:
         if simulator is not None:
             raise InputError(

@@ -95,21 +95,20 @@ class FmuRunner:
     def force(self, signals: Array, values: Mapping[str, float]) -> Array:
         """Return the force (n,) in N along signals (5, n) from rest, with parameters by name."""
         variables = self.variables
-        rows = [signals[SIGNALS.index(quantity)] * factor for quantity, _, factor in variables.inputs]
-        inputs = np.ascontiguousarray(np.transpose(rows))
+        inputs = signals[[SIGNALS.index(quantity) for quantity, _, _ in variables.inputs]]
+        factors = np.array([factor for _, _, factor in variables.inputs])
         # A clock's jitter is no change of the step, and many FMUs take one step only.
-        step = float(signals[0][-1] - signals[0][0]) / (len(inputs) - 1)
-        fmu = self._begin(inputs[0], values)
+        step = float(signals[0][-1] - signals[0][0]) / (signals.shape[1] - 1)
+        fmu = self._begin(factors * inputs[:, 0], values)
         try:
-            force = np.empty(len(inputs))
+            force = np.empty(signals.shape[1])
             functions = self._addresses(fmu)
             instance = ctypes.cast(fmu.component, ctypes.c_void_p).value
             references = np.array([reference for _, reference, _ in variables.inputs], np.uint32)
             output = np.array([variables.output], np.uint32)
             version = int(self.description.fmiVersion[0])
-            failed = run_steps(
-                functions, instance, version, self.feedthrough, references, output, step, inputs, self.divisions, force
-            )
+            asked = functions, instance, version, self.feedthrough, references, output
+            failed = run_steps(*asked, step, inputs, factors, self.divisions, force)
             if failed >= 0:
                 said = f": {self._said[-1]}" if self._said else ""
                 raise InputError(f"the step to sample {failed} of {len(force)}, at {failed * step:.4g} s, failed{said}")

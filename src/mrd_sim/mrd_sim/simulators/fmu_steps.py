@@ -39,6 +39,7 @@ def run_steps(
     output: NDArray[np.uint32],
     step: float,
     inputs: Array,
+    factors: Array,
     divisions: int,
     force: Array,
 ) -> int:
@@ -59,8 +60,10 @@ def run_steps(
         Value references of the inputs and of the force.
     step : float
         s from sample to sample.
-    inputs : ndarray (n, inputs)
-        In the units of the FMU.
+    inputs : ndarray (inputs, n)
+        In SI.
+    factors : ndarray (inputs,)
+        From SI to the units of the FMU.
     divisions : int
         Steps from sample to sample, with inputs on straight lines between these.
 
@@ -76,7 +79,7 @@ def run_steps(
     p_in, p_out, p_flags, p_reached = references.ctypes.data, output.ctypes.data, flags.ctypes.data, reached.ctypes.data
     length = step / divisions
     steps = 0
-    for k in range(len(inputs)):
+    for k in range(inputs.shape[1]):
         failed = 0
         if k > 0 or not feedthrough:
             for part in range(divisions):
@@ -85,7 +88,7 @@ def run_steps(
                 if not feedthrough or part > 0:
                     share = (part + (0.0 if feedthrough else 1.0)) / divisions
                     for i in range(count):
-                        values[i] = (1.0 - share) * inputs[max(k - 1, 0), i] + share * inputs[k, i]
+                        values[i] = factors[i] * ((1.0 - share) * inputs[i, max(k - 1, 0)] + share * inputs[i, k])
                     failed = max(failed, _set(functions[0], instance, version, p_in, count, p_values))
                 if version == 2:
                     status = _call_c(functions[1], (instance, begin, length, 1))
@@ -96,7 +99,7 @@ def run_steps(
                 failed = max(failed, status)
         if feedthrough:
             for i in range(count):
-                values[i] = inputs[k, i]
+                values[i] = factors[i] * inputs[i, k]
             failed = max(failed, _set(functions[0], instance, version, p_in, count, p_values))
         if version == 2:
             status = _call_c(functions[2], (instance, p_out, 1, p_answer))
