@@ -7,6 +7,7 @@ derivatives over the parameters of these effects by differences. With both, a re
 simulator's own force. It is repeated until the sizes stay.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -255,8 +256,7 @@ def _cost_in(refits: Mapping[str, Refit]) -> Callable[[str], float]:
 
 def _differ(one: Interval, other: Interval) -> bool:
     """Whether two values differ by more than the half widths of their intervals together."""
-    widths = np.hypot(*(0.5 * (interval.upper - interval.lower) for interval in (one, other)))
-    return bool(abs(one.value - other.value) > widths)
+    return abs(one.value - other.value) > 0.5 * math.hypot(one.upper - one.lower, other.upper - other.lower)
 
 
 def _worded(interval: Interval) -> str:
