@@ -211,7 +211,7 @@ BENCH_STATE = Topic(
     LATCHED,
     "mode of the bench and its reason, on every change",
     publishers=("supervisor",),
-    subscribers=("recorder", "page"),
+    subscribers=("recorder", "diagnoser", "page"),
     recorded=True,
 )
 EXPERIMENT_STATE = Topic(

@@ -3,6 +3,7 @@
 """
 
 import os
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ from rclpy.executors import SingleThreadedExecutor
 from mrd_base import InputError
 from mrd_base.json_file import make_folder
 from mrd_base.nodes.bench_node import run_node
-from mrd_base.nodes.graph import DIAGNOSE, DIAGNOSE_ON_BENCH, RUN_SET
+from mrd_base.nodes.graph import BENCH_STATE, DIAGNOSE, DIAGNOSE_ON_BENCH, RUN_SET
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.nodes.recording_client import run_on_bench
 from mrd_diagnosis.report.page import write_gap_report
@@ -22,6 +23,7 @@ from mrd_diagnosis.sequential.sequential import BUDGET, Round, diagnose_sequenti
 from mrd_identification.fit_file import read_fit
 from mrd_identification.low_pass import with_force_filters
 from mrd_interfaces.action import Diagnose, DiagnoseOnBench
+from mrd_interfaces.msg import BenchState
 from mrd_runs import Run, read_runs
 from mrd_runs.nodes.analysis_node import AnalysisNode, Offer
 from mrd_sim.current import parse_laws
@@ -29,6 +31,10 @@ from mrd_sim.models import find_model
 from mrd_sim.own import own_catalogue
 from mrd_trajectory.plan import Plan
 from mrd_trajectory.settings import read_settings
+
+
+# Wall time in s for the state of the bench, which comes as soon as ROS has connected the two nodes.
+HEARD_TIMEOUT = 20.0
 
 
 class Diagnoser(AnalysisNode):
@@ -41,6 +47,13 @@ class Diagnoser(AnalysisNode):
             Offer(DIAGNOSE_ON_BENCH, self.check_on_bench, self.work_on_bench),
         )
         self._run_set = RUN_SET.client(self)
+        self._stops = 0  # counted by the supervisor, from 1
+        self._heard = threading.Event()
+        BENCH_STATE.subscription(self, self._on_bench_state)
+
+    def _on_bench_state(self, state: BenchState) -> None:
+        self._stops = state.stops
+        self._heard.set()
 
     def check(self, request: Diagnose.Goal) -> None:
         """Refuse a model or current laws that there are not."""
@@ -58,7 +71,10 @@ class Diagnoser(AnalysisNode):
     def work_on_bench(
         self, request: DiagnoseOnBench.Goal, publish: Callable[[Any], None], result: DiagnoseOnBench.Result
     ) -> None:
-        """Record and diagnose in turn, and write the reports of every round."""
+        """Record and diagnose in turn, and write the reports of every round. After a stop, nothing more is recorded."""
+        if not self._heard.wait(HEARD_TIMEOUT):
+            raise InputError(f"the supervisor was not heard within {HEARD_TIMEOUT:g} s; look at its log")
+        stops = self._stops
         folder = make_folder(request.folder).resolve()
         bench = read_settings(request.bench or os.environ.get("MRD_BENCH"))
         parameters = read_fit(request.parameters) if request.parameters else None
@@ -77,7 +93,7 @@ class Diagnoser(AnalysisNode):
 
             missing = missing_plans(plans, folder_of_round(folder, number))
             if missing:
-                run_on_bench(self._run_set, missing, folder_of_round(folder, number), request.seed, recording)
+                run_on_bench(self._run_set, missing, folder_of_round(folder, number), request.seed, stops, recording)
             return read_recorded(plans, folder_of_round(folder, number))
 
         def on_round(of_round: Round) -> None:

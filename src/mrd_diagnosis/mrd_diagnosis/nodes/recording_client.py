@@ -21,7 +21,7 @@ LOOK = 0.2
 
 
 def run_on_bench(
-    client: ActionClient, plans: Sequence[Plan], folder: Path, seed: int, progress: Callable[[str, float], None]
+    client: ActionClient, plans: Sequence[Plan], folder: Path, seed: int, stops: int, progress: Callable[[str, float], None]
 ) -> None:
     """Let the supervisor record experiments into a folder, one bag each.
 
@@ -35,6 +35,8 @@ def run_on_bench(
     folder : Path
     seed : int
         Seed of everything random in the runs.
+    stops : int
+        The stops that the supervisor had counted when the recordings were asked for; after a further one it refuses them.
     progress : callable
         Called several times a second with the step and the fraction that is done. An exception that it raises cancels the
         set; its end is awaited before the exception is raised on.
@@ -55,7 +57,7 @@ def run_on_bench(
         latest = (f"recording {feedback.experiment}: {feedback.phase}", min(1.0, elapsed / total))
 
     goal = RunSet.Goal(
-        experiments=[format_experiment(planned.experiment) for planned in plans], folder=str(folder), seed=seed
+        experiments=[format_experiment(planned.experiment) for planned in plans], folder=str(folder), seed=seed, stops=stops
     )
     accepted = client.send_goal_async(goal, feedback_callback=on_feedback)
     if not _done(accepted, ACCEPT_TIMEOUT):
