@@ -32,7 +32,6 @@ from mrd_sim.own import own_catalogue
 from mrd_trajectory.plan import Plan
 from mrd_trajectory.settings import read_settings
 
-
 # Wall time in s for the state of the bench, which comes as soon as ROS has connected the two nodes.
 HEARD_TIMEOUT = 20.0
 
