@@ -23,7 +23,7 @@ demo-control: build  ## run a hybrid test on the simulated bench: an emulated qu
 
 test: build lint  ## check style and types, then run all tests but the slow ones
 	@. ./env.sh; python -m pytest -n logical --dist loadfile -m 'not slow and not realtime'; \
-	python -m pytest -n 2 --dist loadfile -m 'realtime and not slow'
+	python -m pytest -m 'realtime and not slow'
 
 lint: build  ## check style (ruff) and types (mypy)
 	@. ./env.sh; ruff format --check --quiet; ruff check; mypy $(addprefix -p ,$(TYPED))

@@ -113,7 +113,7 @@ def test_resume_records_what_is_missing_of_a_set(
     recorded = {"y": 5.3}
     monkeypatch.setattr(bench, "read_run", lambda bag: SimpleNamespace(duration=recorded[bag.name]))
     given = {"bench": CONFIG / "bench.yaml", "plant": None, "simulated": True, "output": Path("done"), "resume": True}
-    given |= {"serial": None, "reference": None}
+    given |= {"serial": None, "reference": None, "diagnose": None}
     session = bench._prepare(argparse.Namespace(experiments=[tmp_path / "set"], **given))
     assert [bag.name for bag in session.bags] == ["x", "z"]
     # A part of a recording is neither kept as if it were whole nor overwritten.

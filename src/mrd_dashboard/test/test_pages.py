@@ -74,6 +74,7 @@ def test_mode_reason_and_remedy_of_a_trip_are_seen(visit, dashboard, patient) ->
     hear(dashboard, Mode.FAULT, reason)
 
     async def work(user: User) -> None:
+        user.find("Live").click()
         await user.should_see("fault")
         await user.should_see("812 N on the load cell, limit ±800 N; reduce coil current")
         await user.should_see("supply 37.0 V, motor 25 °C")
@@ -152,6 +153,7 @@ def test_a_position_before_homing_is_not_told(visit, dashboard) -> None:
     dashboard.bench.monitor.add_servo_status(ServoStatus(5.0, 0.012, connected=True, homed=False, bus_voltage=37.0))
 
     async def work(user: User) -> None:
+        user.find("Live").click()
         await user.should_see("position unknown until the rod is homed, 0 mm/s")
         await user.should_not_see("12.00 mm")
 
@@ -242,7 +244,7 @@ def test_the_queue_does_not_go_on_in_a_fault(visit, dashboard) -> None:
     async def work(user: User) -> None:
         user.find("Runs").click()
         await user.should_see("Resume", retries=30)
-        user.find("Resume").click()
+        user.find(marker="pause").click()
         await user.should_see("reset the fault first", retries=30)
 
     visit(work)
@@ -344,6 +346,7 @@ def test_a_node_that_has_died_does_not_stay_green(visit, dashboard) -> None:
     assert bench.lives("controller")
 
     async def work(user: User) -> None:
+        user.find("Live").click()
         await user.should_see(marker="node recorder", retries=30)
         user.find(marker="node recorder").click()
         await user.should_see("space: 12 GB free", retries=30)
@@ -364,6 +367,7 @@ def test_what_servo_and_daq_said_last_is_not_shown_as_news(visit, dashboard) -> 
     hear(dashboard)
 
     async def work(user: User) -> None:
+        user.find("Live").click()
         await user.should_see("supply 37.0 V")
         for name in ("servo", "DAQ"):
             silence(dashboard, name, SILENT_AFTER + 2.0)

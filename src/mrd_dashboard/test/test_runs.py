@@ -344,7 +344,7 @@ def test_a_set_that_tests_a_damper_ends_with_the_reports_of_the_tool(dashboard, 
     import_files([WORN / f"{name}.csv" for name in names], tmp_path / "imported")
     succeeds = iter((True, False, True))
 
-    async def run(_kind, experiment: str, bag: Path, _seed, _progress) -> RunOutcome:
+    async def run(_kind, experiment: str, bag: Path, _seed, _stops, _progress) -> RunOutcome:
         if not next(succeeds):
             return RunOutcome(False, "the force was too large", "")
         shutil.copytree(tmp_path / "imported" / experiment.removeprefix("name: "), bag)

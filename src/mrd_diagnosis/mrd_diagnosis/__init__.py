@@ -6,6 +6,8 @@ from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.report.sentences import next_command
 from mrd_diagnosis.report.validation_page import write_validation
+from mrd_diagnosis.sequential.first_set import first_set
+from mrd_diagnosis.sequential.sequential import SequentialDiagnosis, diagnose_sequentially
 from mrd_diagnosis.trend.trend import Trend, trend
 from mrd_diagnosis.validation.validate import ValidatedRun, Validation, validate
 
@@ -18,10 +20,13 @@ __all__ = [
     "Gap",
     "Interval",
     "Region",
+    "SequentialDiagnosis",
     "Trend",
     "ValidatedRun",
     "Validation",
     "diagnose",
+    "diagnose_sequentially",
+    "first_set",
     "next_command",
     "read_gap_report",
     "trend",

@@ -12,10 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mrd_base.progress import ignore
-from mrd_diagnosis.diagnose import diagnose
-from mrd_diagnosis.diagnosis import Diagnosis
-from mrd_diagnosis.sequential.first_set import first_set
-from mrd_diagnosis.sequential.sequential import diagnose_sequentially
+from mrd_diagnosis import Diagnosis, diagnose, diagnose_sequentially, first_set
 from mrd_runs import Run
 from mrd_trajectory.plan import Plan
 from mrd_trials.bench_session import BenchSession, Effects, as_run

@@ -223,7 +223,7 @@ class RosCommands:
             there = client.server_is_ready() and latest == supervisor
             missing = 0.0 if there else missing + _LOOK_PERIOD
         result.cancel()
-        raise InputError("a node of the bench has gone meanwhile; look at its log, start the bench again, and try again")
+        raise InputError("the supervisor has gone in the run; look at its log, start the bench again, and try again")
 
     async def _reason(self, action: str) -> str:
         prefix = f"{action}: "

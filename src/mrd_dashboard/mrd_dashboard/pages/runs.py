@@ -180,7 +180,11 @@ def _queue(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> Non
     ui.label("Queue").classes("text-base font-medium")
     with ui.row().classes("w-full items-center"):
         left = ui.label().classes("text-sm grow").mark("time left")
-        pause = ui.button("Pause", on_click=lambda: change_pause()).props("outline dense no-caps padding='2px 10px'")
+        pause = (
+            ui.button("Pause", on_click=lambda: change_pause())
+            .props("outline dense no-caps padding='2px 10px'")
+            .mark("pause")
+        )
     bar = ui.linear_progress(0.0, show_value=False).props("rounded")
     rows = ui.column().classes("w-full gap-1")
     listed: list[object] = [None]

@@ -140,6 +140,8 @@ def sensor(effects: Collection[str], other_effects: Collection[str]) -> str:
     for shown, text in SENSORS.items():
         if any(effect in shown for effect in differing):
             return text
+    if not differing:
+        return "Diagnose the recordings with the other damper model as well: no effect is the difference."
     # The earliest stage between cause and reading decides.
     first = min((EFFECTS[effect] for effect in differing), key=lambda effect: STAGES.index(effect.stage))
     return f"{SENSORS_OF_STAGE[first.stage]} Another measurement for {effect_name(first.id)}: {first.separated_by}."

@@ -60,19 +60,17 @@ class Diagnoser(AnalysisNode):
         _check_model(request)
 
     def check_on_bench(self, request: DiagnoseOnBench.Goal) -> None:
-        """Refuse a model that there is not, and a bench that is not there."""
+        """Refuse a model that there is not, and an empty folder."""
         _check_model(request)
         if not request.folder:
             raise InputError("folder: is empty, expected the folder of recordings and reports")
-        if not self._run_set.server_is_ready():
-            raise InputError(f"the bench is not there: nobody serves the action {RUN_SET.name}; start the bench")
 
     def work_on_bench(
         self, request: DiagnoseOnBench.Goal, publish: Callable[[Any], None], result: DiagnoseOnBench.Result
     ) -> None:
         """Record and diagnose in turn, and write the reports of every round. After a stop, nothing more is recorded."""
-        if not self._heard.wait(HEARD_TIMEOUT):
-            raise InputError(f"the supervisor was not heard within {HEARD_TIMEOUT:g} s; look at its log")
+        if not (self._heard.wait(HEARD_TIMEOUT) and self._run_set.wait_for_server(HEARD_TIMEOUT)):
+            raise InputError(f"no supervisor was heard within {HEARD_TIMEOUT:g} s; start the bench, or look at its log")
         stops = self._stops
         folder = make_folder(request.folder).resolve()
         bench = read_settings(request.bench or os.environ.get("MRD_BENCH"))
