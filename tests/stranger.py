@@ -175,6 +175,8 @@ class Stranger:
                 "effects": ["seal_friction", "force_sensor_lag"],
                 "output": folder,
             },
+            # A whole one takes a minute; this one is refused before anything moves.
+            "diagnose_on_bench": {"model": "bingham", "budget": 1.0, "folder": f"{folder}/on_bench"},
         }
         for row in rows(section(self.page, "actions")):
             name, action_type = row["action"], load(row["type"])
@@ -188,6 +190,7 @@ class Stranger:
             ("run_set", {"folder": f"{folder}/cancelled set"}),
             ("identify", {"generations": 100_000}),
             ("diagnose", {"effects": []}),
+            ("diagnose_on_bench", {"budget": 0.0}),
         ):
             self.report["actions"][name]["cancelled"] = self.send(name, types[name], True, **goals[name] | changes)
 

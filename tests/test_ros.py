@@ -108,7 +108,10 @@ def test_a_stranger_gets_an_answer_to_every_name(again: Any, tmp_path: Path) -> 
     for name in ("run_experiment", "run_control", "run_set", "identify", "diagnose"):
         assert answers[name]["good"][0] == "succeeded", answers[name]
         assert answers[name]["good"][2] > 0, f"{name} gives no feedback"
-    for name in ("run_experiment", "run_set", "identify", "diagnose"):
+    status, message, _ = answers["diagnose_on_bench"]["good"]
+    assert status == "aborted"
+    assert message.startswith("budget: found 1 s of bench time, expected at least ")
+    for name in ("run_experiment", "run_set", "identify", "diagnose", "diagnose_on_bench"):
         status, message, _ = answers[name]["cancelled"]
         assert status == "cancelled", answers[name]
         assert "cancelled" in message
