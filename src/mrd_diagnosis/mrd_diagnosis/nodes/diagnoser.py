@@ -57,11 +57,11 @@ class Diagnoser(AnalysisNode):
     def check(self, request: Diagnose.Goal) -> None:
         """Refuse a model or current laws that there are not."""
         parse_laws(request.laws, "laws")
-        _check_model(request)
+        _check_model(request.model, request.models_folder)
 
     def check_on_bench(self, request: DiagnoseOnBench.Goal) -> None:
         """Refuse a model that there is not, and an empty folder."""
-        _check_model(request)
+        _check_model(request.model or BEST_MODEL, request.models_folder)
         if not request.folder:
             raise InputError("folder: is empty, expected the folder of recordings and reports")
 
@@ -153,11 +153,11 @@ class Diagnoser(AnalysisNode):
         result.closed_fraction = diagnosis.gap.closed_fraction.value if diagnosis.gap else float("nan")
 
 
-def _check_model(request: Any) -> None:
-    """Refuse a model that there is not."""
-    if request.model and request.model != BEST_MODEL:
-        with own_catalogue(request.models_folder):
-            find_model(request.model)
+def _check_model(model: str, folder: str) -> None:
+    """Refuse a model that there is not, given the folder of models of one's own."""
+    if model != BEST_MODEL:
+        with own_catalogue(folder):
+            find_model(model)
 
 
 def main() -> None:
