@@ -36,7 +36,8 @@ def diagnose_on_bench(client: BenchClient, goal: DiagnoseOnBench.Goal) -> None:
         reason = result.message or "the diagnoser failed; look at its log"
         print(f"error: {reason}; go on by --resume --output {goal.folder}", file=sys.stderr)
         sys.exit(1)
-    print(f"after {result.rounds} rounds, {result.duration:.0f} s of bench time: {result.message}")
+    rounds = "one round" if result.rounds == 1 else f"{result.rounds} rounds"
+    print(f"after {rounds}, {result.duration:.0f} s of bench time: {result.message}")
     print(f"it ends here: {result.why}")
     if result.ending == "nothing_separates":
         print(

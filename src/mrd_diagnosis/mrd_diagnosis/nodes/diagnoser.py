@@ -18,7 +18,7 @@ from mrd_diagnosis.nodes.recording_client import run_on_bench
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.report.sentences import next_command
 from mrd_diagnosis.sequential.recorded import folder_of_round, missing_plans, read_recorded
-from mrd_diagnosis.sequential.report import write_sequential_report
+from mrd_diagnosis.sequential.report import command_after, write_sequential_report
 from mrd_diagnosis.sequential.sequential import BUDGET, Round, diagnose_sequentially
 from mrd_identification.fit_file import read_fit
 from mrd_identification.low_pass import with_force_filters
@@ -110,7 +110,7 @@ class Diagnoser(AnalysisNode):
                 progress=lambda number, stage, fraction: progress(number, stage, 0.5 + 0.5 * fraction),
             )
             page = write_sequential_report(outcome, folder)
-            result.next_command = next_command(outcome.diagnosis, str(folder_of_round(folder, len(rounds)) / "report"))
+            result.next_command = command_after(outcome, folder)
         diagnosis = outcome.diagnosis
         result.message, result.verdict, result.report = diagnosis.sentence, diagnosis.verdict, str(page)
         result.causes = [cause.effect for cause in diagnosis.causes]

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from mrd_base.version import VERSION
-from mrd_diagnosis.report.sentences import next_step
+from mrd_diagnosis.report.sentences import next_command, next_step
 from mrd_diagnosis.sequential.recorded import folder_of_round
 from mrd_diagnosis.sequential.sequential import Round, SequentialDiagnosis
 from mrd_diagnosis.wording.effect_names import effect_name
@@ -35,16 +35,22 @@ def write_sequential_report(outcome: SequentialDiagnosis, folder: Path) -> Path:
         runs=diagnosis.runs,
         title="Diagnosis on the bench",
         headline=[
-            ("rounds", str(len(outcome.rounds))),
+            ("rounds" if len(outcome.rounds) > 1 else "round", str(len(outcome.rounds))),
             ("recordings", str(sum(len(of_round.runs) for of_round in outcome.rounds))),
             ("bench time", f"{outcome.duration:.0f} s"),
         ],
         sentence=diagnosis.sentence,
         next_step=next_step(diagnosis),
+        next_command=command_after(outcome, folder),
         ending=ENDINGS[outcome.ending],
         why=outcome.why,
         rounds=[_row(of_round) for of_round in outcome.rounds],
     )
+
+
+def command_after(outcome: SequentialDiagnosis, folder: Path) -> str:
+    """Return the commands that follow from the last diagnosis, one a line; empty where none do."""
+    return next_command(outcome.diagnosis, str(folder_of_round(folder, len(outcome.rounds)) / "report"))
 
 
 def to_json(outcome: SequentialDiagnosis) -> dict[str, Any]:
