@@ -250,9 +250,7 @@ class Dashboard:
         folder = self.recordings.folder / f"diagnosis-{time.strftime('%Y%m%d-%H%M%S')}"
         self.bench_diagnosis.begin(folder)
         request = BenchDiagnosisRequest(model, budget, folder, self.bench_file)
-        task = asyncio.create_task(self._diagnose(request))
-        self.tasks.add(task)
-        task.add_done_callback(self.tasks.discard)
+        _beside(self, self._diagnose(request))
         return f"the bench records and diagnoses; its files are in {folder}"
 
     async def _diagnose(self, request: BenchDiagnosisRequest) -> None:

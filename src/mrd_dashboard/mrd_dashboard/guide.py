@@ -11,6 +11,7 @@ import numpy as np
 
 from mrd_base import InputError
 from mrd_dashboard.jobs import Job
+from mrd_dashboard.kept_file import keep
 from mrd_diagnosis.closure.closure import exceeded_ranges
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.validation_page import NEAR_NOISE
@@ -87,17 +88,9 @@ class Guide:
             self.outcomes = {}  # of another version
 
     def _keep(self) -> None:
-        if self.file is None:
-            return
         content = dataclasses.asdict(self)
         kept = {name: content[name] for name in ("runs", "held_back", "outcomes", "under_way")}
-        part = self.file.with_name(self.file.name + ".part")
-        try:
-            part.write_text(json.dumps(kept), encoding="utf-8")
-            part.replace(self.file)
-            self.problem = ""
-        except OSError as error:
-            self.problem = f"{self.file}: {error.strerror}; the guide will be lost with the page"
+        self.problem = keep(kept, self.file, "the guide")
 
     @property
     def fitted(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mrd_base import InputError
+from mrd_dashboard.kept_file import keep
 
 Kind = Literal["identification", "control"]
 State = Literal["waiting", "running", "done", "failed", "stopped"]
@@ -127,15 +128,8 @@ class RunQueue:
         ended = [run for run in self.runs if run.state not in _OPEN and run.batch not in sets]
         dropped = {run.number for run in ended[:-_MOST_ENDED]}
         self.runs = [run for run in self.runs if run.number not in dropped]
-        if self.file is not None:
-            part = self.file.with_name(self.file.name + ".part")
-            try:
-                part.write_text(json.dumps([dataclasses.asdict(run) for run in self.runs]), encoding="utf-8")
-                part.replace(self.file)
-                self.problem = ""
-            except OSError as error:
-                # A full disk must not keep a run from being seen to end.
-                self.problem = f"{self.file}: {error.strerror}; the queue will be lost with the page"
+        # A full disk must not keep a run from being seen to end.
+        self.problem = keep([dataclasses.asdict(run) for run in self.runs], self.file, "the queue")
 
     def add(self, name: str, experiment: str, duration: float, seed: int = 0, **options: Any) -> QueuedRun:
         """Append a run; ``options``: its ``kind``, ``damper``, ``batch`` and ``tests_damper``."""

@@ -131,29 +131,25 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
         dashboard.audit.write(visitor(request.scope).name, "report", str(job.report), "sent")
         return _sandboxed(job.report)
 
-    @app.get("/bench_diagnosis/{name:path}")
-    def bench_diagnosis(name: str, request: Request) -> Response:
+    def send(request: Request, asked: str, find: Callable[[], Path], filename: str = "") -> Response:
+        """Send a file of the results, or say why there is none; both are logged."""
         who = visitor(request.scope)
         try:
-            file = dashboard.bench_diagnosis.page(name)
+            file = find()
         except InputError as error:
-            dashboard.audit.write(who.name, "report", name[:200], f"refused: {error}")
+            dashboard.audit.write(who.name, "report", asked[:200], f"refused: {error}")
             return PlainTextResponse(str(error), 404)
         dashboard.audit.write(who.name, "report", str(file), "sent")
-        return _sandboxed(file)
+        return _sandboxed(file) if file.suffix == ".html" else FileResponse(file, filename=filename)
+
+    @app.get("/bench_diagnosis/{name:path}")
+    def bench_diagnosis(name: str, request: Request) -> Response:
+        return send(request, name, lambda: dashboard.bench_diagnosis.page(name))
 
     @app.get("/test/{name}/{test:path}")
     def test_file(name: str, test: str, request: Request) -> Response:
-        who = visitor(request.scope)
-        try:
-            file = dashboard.dampers.file(test, name)
-        except InputError as error:
-            dashboard.audit.write(who.name, "report", f"{name} {test}"[:200], f"refused: {error}")
-            return PlainTextResponse(str(error), 404)
-        dashboard.audit.write(who.name, "report", str(file), "sent")
-        if file.suffix == ".html":
-            return _sandboxed(file)
-        return FileResponse(file, filename=f"{test.replace('/', '-')}-{name}")
+        filename = f"{test.replace('/', '-')}-{name}"
+        return send(request, f"{name} {test}", lambda: dashboard.dampers.file(test, name), filename)
 
     return app
 

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 MOST_FOLDERS = 20
 """Folders that a description of runs lists."""
 
+SHORTER = 0.5
+"""Seconds by which a whole recording may be shorter than its experiment: it consists of whole blocks of samples."""
+
 
 def read_run(path: str | Path) -> Run:
     """Read a recording.
@@ -134,6 +137,14 @@ def _read_each(paths: str | Path | Iterable[str | Path], rig: str | Path | None)
 def _means_others(path: Path) -> bool:
     """Whether a path is a pattern, a folder of recordings or a file of another program."""
     return glob.has_magic(str(path)) if not path.exists() else path.is_dir() or path.is_file()
+
+
+def require_whole(run: Run, bag: Path, duration: float) -> None:
+    """Raise `InputError` where the run of a bag holds less than its experiment, which takes ``duration`` s."""
+    if run.duration < duration - SHORTER:
+        raise InputError(
+            f"{bag}: holds {run.duration:.1f} s, expected the {duration:.1f} s of its experiment; move it away, then resume"
+        )
 
 
 def describe_runs(runs: Sequence[Run]) -> str:

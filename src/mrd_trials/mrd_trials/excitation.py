@@ -130,7 +130,13 @@ def recommended_command(experiment: str, size: Size) -> BenchCommand:
     The experiment is given as text.
     """
     bench = size.bench
-    of_plant = command(plan(parse_experiment(experiment, "next_experiment"), bench.limits, bench.force_envelope))
+    return at_reference(
+        command(plan(parse_experiment(experiment, "next_experiment"), bench.limits, bench.force_envelope)), size
+    )
+
+
+def at_reference(of_plant: BenchCommand, size: Size) -> BenchCommand:
+    """Return the command at the reference size for one that a plant of some size is given."""
     return BenchCommand(of_plant.time, of_plant.position / size.motion, of_plant.current / size.current)
 
 

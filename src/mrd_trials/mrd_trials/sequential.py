@@ -16,7 +16,7 @@ from mrd_diagnosis import Diagnosis, diagnose, diagnose_sequentially, first_set
 from mrd_runs import Run
 from mrd_trajectory.plan import Plan
 from mrd_trials.bench_session import BenchSession, Effects, as_run
-from mrd_trials.excitation import Tier, command, commands_of_runs, random_command
+from mrd_trials.excitation import Tier, at_reference, command, commands_of_runs, random_command
 from mrd_trials.parallel import run_in_processes
 from mrd_trials.records import GroundTruth, PolicyAnswer, SequentialOutcome, complete_records
 from mrd_trials.scoring.rates import Rate
@@ -55,10 +55,7 @@ class SimulatedBench:
 
     def record_plans(self, _round: int, plans: Sequence[Plan]) -> list[Run]:
         """Record plans at the size of the plant."""
-        return self.record([(planned.experiment.name, self._at_reference(command(planned))) for planned in plans])
-
-    def _at_reference(self, of_plant: BenchCommand) -> BenchCommand:
-        return BenchCommand(of_plant.time, of_plant.position / self.size.motion, of_plant.current / self.size.current)
+        return self.record([(planned.experiment.name, at_reference(command(planned), self.size)) for planned in plans])
 
 
 def run_sequential_trial(

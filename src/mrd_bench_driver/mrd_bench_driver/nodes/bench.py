@@ -21,6 +21,7 @@ from mrd_bench_driver.nodes.bench_diagnosis import diagnose_on_bench, recorded_i
 from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes, clock_of
 from mrd_interfaces.action import DiagnoseOnBench
 from mrd_runs import read_run, read_runs
+from mrd_runs.read import require_whole
 from mrd_trajectory.damper_tests import DamperTest
 from mrd_trajectory.damper_tests.warm_up import WarmUp
 from mrd_trajectory.experiment import Experiment, format_experiment
@@ -33,9 +34,6 @@ if TYPE_CHECKING:
 
 TOLERANCE = 0.1
 """Half the width of the bands around the values of a golden damper, over these; `accept` takes others."""
-
-SHORTER = 0.5
-"""Seconds by which a whole recording may be shorter than its experiment: it consists of whole blocks of samples."""
 
 
 class SignalCounter:
@@ -397,11 +395,8 @@ def _missing(session: Session) -> dict[Experiment, float]:
             continue
         run = read_run(bag)
         ended_early = experiment.until is not None and "ended" in run.info
-        if run.duration < duration - SHORTER and not ended_early:
-            raise InputError(
-                f"{bag}: holds {run.duration:.1f} s, expected the {duration:.1f} s of its experiment; "
-                "move it away, then resume"
-            )
+        if not ended_early:
+            require_whole(run, bag, duration)
         if ending := session.reason_to_stop(experiment.name):
             print(f"the set has ended: {ending}")
             break

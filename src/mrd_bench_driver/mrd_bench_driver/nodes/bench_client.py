@@ -280,19 +280,27 @@ class BenchClient:
         """
         if not self.spin(self._diagnose_on_bench.server_is_ready, START_TIMEOUT):
             raise InputError(f"the node diagnoser did not come up within {START_TIMEOUT:g} s; look at its log")
-        return self._run(DIAGNOSE_ON_BENCH, self._diagnose_on_bench, goal, feedback)
+
+        def on_feedback(message: Any) -> None:
+            if message.moves:
+                self.let_time_pass()
+            else:
+                self._hold_time()
+            feedback(message)
+
+        return self._send(DIAGNOSE_ON_BENCH, self._diagnose_on_bench, goal, on_feedback)
 
     def _run(self, action: Action, client: ActionClient, goal: Any, feedback: Feedback) -> Any:
         def on_feedback(message: Any) -> None:
-            if getattr(message.feedback, "moves", True):
-                self.let_time_pass()  # the supervisor has begun
-            else:
-                self._hold_time()
-            feedback(message.feedback)
+            self.let_time_pass()  # the supervisor has begun
+            feedback(message)
 
+        return self._send(action, client, goal, on_feedback)
+
+    def _send(self, action: Action, client: ActionClient, goal: Any, feedback: Feedback) -> Any:
         self._watch()  # what has come before the goal is sent, needs no end of it
         self._refusals.clear()
-        accepted = client.send_goal_async(goal, feedback_callback=on_feedback)
+        accepted = client.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
         # What comes from here on, ends the goal below.
         if not self.spin(accepted.done, ACCEPT_TIMEOUT, watch=False):
             raise InputError(f"the supervisor did not accept the goal within {ACCEPT_TIMEOUT:g} s; look at its log")

@@ -11,6 +11,9 @@ from mrd_diagnosis.diagnose import BEST_MODEL
 from mrd_diagnosis.sequential.sequential import BUDGET
 from mrd_sim.models import MODELS
 
+MODEL_CHOICES = {BEST_MODEL: "the one that predicts best", **{name: name for name in MODELS}}
+"""Damper models to choose from, as the page names them."""
+
 
 def bench_diagnosis_card(dashboard: Dashboard, who: Visitor) -> Callable[[], None]:
     """Build the card; return the function that shows how far the diagnosis is."""
@@ -37,8 +40,7 @@ def bench_diagnosis_card(dashboard: Dashboard, who: Visitor) -> Callable[[], Non
             "again, until the cause is known. The rod moves."
         ).classes("text-sm opacity-80")
         with ui.row().classes("items-end gap-3"):
-            models = {BEST_MODEL: "the one that predicts best", **{name: name for name in MODELS}}
-            ui.select(models, label="damper model").props("dense").classes("w-64").bind_value(form, "model")
+            ui.select(MODEL_CHOICES, label="damper model").props("dense").classes("w-64").bind_value(form, "model")
             ui.number("bench time at most, in s", min=1.0).props("dense").classes("w-44").bind_value(form, "budget")
             button = ui.button("Diagnose on the bench", on_click=start).props("no-caps unelevated").mark("diagnose-on-bench")
         with ui.row().classes("w-full items-center no-wrap gap-3") as progress:

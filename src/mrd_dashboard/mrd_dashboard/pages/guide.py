@@ -16,10 +16,9 @@ from mrd_dashboard.guide_steps import check_recordings, start_step
 from mrd_dashboard.import_files import import_files
 from mrd_dashboard.jobs import Job
 from mrd_dashboard.pages.analysis import RecordingsField
-from mrd_dashboard.pages.bench_diagnosis import bench_diagnosis_card
+from mrd_dashboard.pages.bench_diagnosis import MODEL_CHOICES, bench_diagnosis_card
 from mrd_dashboard.pages.notes import busy, tell
 from mrd_diagnosis.diagnose import BEST_MODEL
-from mrd_sim.models import MODELS
 
 STANDARD_SET = "characterise"
 """Folder of the standard set among the experiments."""
@@ -75,8 +74,7 @@ def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) ->
             runs.bind_value(form, "runs").mark("guide-runs")
             _new_data(dashboard, who, form)
         with _step(cards, "check", "Fit", lambda: start("fit")):
-            models = {BEST_MODEL: "the one that predicts best", **{name: name for name in MODELS}}
-            ui.select(models, label="damper model").props("dense").classes("w-64").bind_value(form, "model").mark(
+            ui.select(MODEL_CHOICES, label="damper model").props("dense").classes("w-64").bind_value(form, "model").mark(
                 "guide-model"
             )
         with _step(cards, "fit", "Diagnose", lambda: start("diagnose")):

@@ -3,12 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from mrd_base import InputError
 from mrd_runs import Run, read_run
+from mrd_runs.read import require_whole
 from mrd_trajectory.plan import Plan
-
-SHORTER = 0.5
-"""Seconds by which a whole recording may be shorter than its experiment: it consists of whole blocks of samples."""
 
 
 def folder_of_round(folder: Path, number: int) -> Path:
@@ -32,9 +29,5 @@ def read_recorded(plans: Sequence[Plan], folder: Path) -> list[Run]:
     """
     runs = [read_run(folder / planned.experiment.name) for planned in plans]
     for planned, run in zip(plans, runs, strict=True):
-        if run.duration < planned.duration - SHORTER:
-            raise InputError(
-                f"{folder / planned.experiment.name}: holds {run.duration:.1f} s, expected the {planned.duration:.1f} s of "
-                "its experiment; move it away, then resume"
-            )
+        require_whole(run, folder / planned.experiment.name, planned.duration)
     return runs
