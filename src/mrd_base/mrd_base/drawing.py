@@ -9,6 +9,7 @@ across, on linear, logarithmic, categorical and date axes.
 import hashlib
 import html
 import io
+import math
 import re
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -33,6 +34,8 @@ _OF_PAGE = {
 FONT_SIZE = 13.0
 CHARACTER = 0.56
 """Width of a character, relative to the size of the font."""
+LEGEND_ROW = 18.0
+"""Height of a row of the legend in pixels."""
 COLORS = ("#00798c", "#d1495b", "#edae49", "#66a182", "#8d6a9f", "#2e4057")
 
 _DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
@@ -463,11 +466,16 @@ class _Drawing:
         longest, fitting = max(widths), sum(widths) < self.width
         beside = layout.get("orientation") == "v" and self.width > 3 * longest
         side = "right" if layout.get("xanchor", "right") == "right" else "left"
+        columns = 1 if beside else len(widths) if fitting else max(1, int(self.width / longest))
+        if not beside:
+            # The height of a figure has room for one row of the legend; what needs more takes it from no diagram.
+            more = math.ceil(len(widths) / columns) - 1
+            self.canvas.set_figheight(self.canvas.get_figheight() + more * LEGEND_ROW / 72)
         self.canvas.legend(
             self.legend.values(),
             self.legend.keys(),
             loc="outside right upper" if beside else f"outside upper {side}",
-            ncols=1 if beside else len(widths) if fitting else max(1, int(self.width / longest)),
+            ncols=columns,
             frameon=False,
             fontsize=12,
             handlelength=1.6,

@@ -93,12 +93,12 @@ def asymmetries(forces: Sequence[Value]) -> list[Value]:
 
 
 def dynamic_ranges(forces: Sequence[Value]) -> list[Value]:
-    """Return the force at the largest current over that at the smallest one, at each speed of forces at speeds."""
+    """Return the force at the largest current over that at the smallest one, at each speed at which both were recorded."""
     values = []
-    for speed in sorted({value.speed or 0.0 for value in forces}):
-        pairs = [pair for pair in _pairs(forces) if pair[0].speed == speed]
-        pairs.sort(key=lambda pair: pair[0].current or 0.0)
-        least, most = (pairs[0], pairs[-1]) if len(pairs) > 1 else (None, None)
+    currents = {value.current or 0.0 for value in forces}
+    for speed in sorted({value.speed or 0.0 for value in forces}) if len(currents) > 1 else ():
+        pairs = {pair[0].current or 0.0: pair for pair in _pairs(forces) if pair[0].speed == speed}
+        least, most = pairs.get(min(currents)), pairs.get(max(currents))
         if least and most and (low := _resisting(least)) > 0.0:
             high = _resisting(most)
             slopes = (1.0 / low, -1.0 / low, -high / low**2, high / low**2)

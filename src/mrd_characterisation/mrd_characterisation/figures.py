@@ -71,8 +71,8 @@ def loops(characterisation: Characterisation, view: View = BENCH) -> go.Figure:
     ]
     unit = view.unit("m/s")
     rows: list[tuple[str, list[Loop], Any]] = [
-        (f"{middle[0].current:.3g} A", middle, lambda loop: f"{unit.shown(loop.speed):.3g} {unit.symbol}"),
-        ("fastest cycles", fastest, lambda loop: f"{loop.current:.3g} A"),
+        (f"{middle[0].current:.3g} A", middle, lambda loop: f"above: {unit.shown(loop.speed):.3g} {unit.symbol}"),
+        ("fastest cycles", fastest, lambda loop: f"below: {loop.current:.3g} A"),
     ]
     figure = make_subplots(rows=2, cols=2, horizontal_spacing=0.1, vertical_spacing=0.14)
     colors = _colors([characterisation], largest)
@@ -100,27 +100,34 @@ def loops(characterisation: Characterisation, view: View = BENCH) -> go.Figure:
 
 
 def responses(characterisations: Sequence[Characterisation]) -> go.Figure:
-    """Draw the mean responses to current steps: rising on the left, falling on the right; the current is thin."""
+    """Draw the mean responses to current steps, rising and falling, in one colour for each pair of levels; the current is thin."""
     figure = make_subplots(rows=1, cols=2, subplot_titles=["rising current", "falling current"], horizontal_spacing=0.1)
-    number = 0
-    for one in characterisations:
+    pairs: list[str] = []
+    named: set[str] = set()
+    for number, one in enumerate(characterisations):
         for response in one.responses:
             column = 1 if abs(response.current) > abs(response.current_before) else 2
-            label = f"{response.current_before:.3g} to {response.current:.3g} A, {response.direction}"
-            name = f"{one.name}, {label}" if len(characterisations) > 1 else label
+            lower, upper = sorted((response.current_before, response.current), key=abs)
+            pair = f"between {lower:.3g} and {upper:.3g} A"
+            name = f"{one.name}, {pair}" if len(characterisations) > 1 else pair
+            pairs += [] if pair in pairs else [pair]
             for series, width in ((response.force, 1.8), (response.coil, 0.7)):
                 figure.add_scatter(
                     x=_short(1e3 * response.time),
                     y=_short(series),
                     mode="lines",
                     name=name,
-                    showlegend=series is response.force,
-                    legendgroup=f"{number}",
-                    line={"color": COLORS[number % len(COLORS)], "width": width},
+                    showlegend=name not in named,
+                    legendgroup=name,
+                    line={
+                        "color": COLORS[pairs.index(pair) % len(COLORS)],
+                        "width": width,
+                        "dash": DASHES[number % len(DASHES)],
+                    },
                     row=1,
                     col=column,
                 )
-            number += 1
+                named.add(name)
     figure.update_xaxes(title_text="time since the step, ms")
     figure.update_yaxes(title_text="share of the change", row=1, col=1)
     return figure.update_layout(**LAYOUT, height=400)

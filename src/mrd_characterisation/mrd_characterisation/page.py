@@ -30,7 +30,7 @@ def write_page(characterisations: Sequence[Characterisation], folder: str | Path
     if any(one.select("peak_force") for one in characterisations):
         drawings.append(("Peak and mean force over peak speed (PVP)", figures.peak_over_speed(characterisations, view)))
     if any(one.curves for one in characterisations):
-        title = "Force over speed (CVP): mean of both branches, which are thin"
+        title = "Force over speed (CVP): both branches (thin) and their mean"
         drawings.append((title, figures.force_over_speed(characterisations, view)))
     if first.loops:
         drawings.append((f"Measured cycles of {first.name}", figures.loops(first, view)))
@@ -97,7 +97,7 @@ def other_table(first: Characterisation, other: Characterisation, view: View) ->
         pair = _same(value, other)
         if pair is not None:
             one, two = shown(value, view)[0], shown(pair, view)[0]
-            change = f"{100 * (two - one) / abs(one):+.1f} %" if one else ""
+            change = f"{100 * (two / one - 1):+.1f} %" if one else ""
             unit = view.unit(value.unit).symbol
             title = QUANTITIES[value.quantity].title
             rows.append(
