@@ -20,11 +20,11 @@ async def check_recordings(dashboard: Dashboard, names: list[str]) -> str:
         raise InputError("no recordings are chosen; choose at least two of different motion")
     if guide.under_way is not None:
         raise InputError(f"the step {guide.under_way[0]} is being computed; wait for its end or cancel it")
-    paths = _paths(dashboard, names)
-    guide.choose(names)
+    recordings = dashboard.recordings.in_order(names)
+    guide.choose([recording.id for recording in recordings])
     chosen = guide.outcomes["data"]
     try:
-        found = await dashboard.compute(check_data, paths)
+        found = await dashboard.compute(check_data, [str(recording.path) for recording in recordings])
     except InputError as error:
         if guide.outcomes.get("data") is chosen:
             guide.end("check", Outcome(False, str(error)))
@@ -59,7 +59,7 @@ def start_step(dashboard: Dashboard, step: Step, *, model: str = "", predicted: 
 
 def _request(dashboard: Dashboard, step: Step, model: str, predicted: list[str]) -> JobRequest:
     guide, results = dashboard.guide, dashboard.jobs.folder
-    fitted = _paths(dashboard, guide.fitted)
+    fitted = dashboard.recordings.paths(guide.fitted)
     if step == "fit":
         return JobRequest("identify", fitted, model)
     fit = guide.folder(results, "fit")
@@ -71,8 +71,4 @@ def _request(dashboard: Dashboard, step: Step, model: str, predicted: list[str])
     if again := [run for run in predicted if run in guide.fitted]:
         raise InputError(f"{again[0]} was fitted, so that it shows no prediction; choose recordings that were not")
     damper = damper_to_validate(fit, guide.folder(results, "diagnose"))
-    return JobRequest("validate", _paths(dashboard, predicted), name, parameters=str(damper))
-
-
-def _paths(dashboard: Dashboard, names: list[str] | tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(str(dashboard.recordings.find(name).path) for name in names)
+    return JobRequest("validate", dashboard.recordings.paths(predicted), name, parameters=str(damper))

@@ -9,7 +9,7 @@ import re
 import shutil
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -24,6 +24,7 @@ from mrd_runs.storage import SUFFIXES
 T = TypeVar("T")
 
 NOTES_FILE = "notes.yaml"
+METADATA = "metadata.yaml"
 CACHE_FOLDER = ".page"
 """Folder, among the recordings, of what the page can compute again."""
 NOTES_REMEDY = "mend or remove the file, then its notes can be changed here"
@@ -200,6 +201,25 @@ class Recordings:
         notes, problem = self._read_notes(path)
         return Recording(recording, path, path.stat().st_mtime, notes, problem, _is_closed(path))
 
+    def in_order(self, names: Iterable[str]) -> list[Recording]:
+        """Return recordings by their ids, in the order in which they were recorded: heat carries over from run to run.
+
+        Raises
+        ------
+        InputError
+            When there is none of such a name.
+        """
+
+        def ended(recording: Recording) -> float:
+            # Notes change the folder, but not this file, which its recorder writes when it closes.
+            return (recording.path / METADATA).stat().st_mtime if recording.closed else recording.modified
+
+        return sorted(map(self.find, names), key=ended)
+
+    def paths(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Return where recordings are, in the order of `in_order`."""
+        return tuple(str(recording.path) for recording in self.in_order(names))
+
     def new_folder(self, name: str) -> Path:
         """Return the path for a new recording of a run, named after it and the time."""
         path = self.folder / f"{new_name(name)}-{datetime.now():%Y%m%d-%H%M%S}"
@@ -273,7 +293,7 @@ def notes_form(notes: Notes) -> dict[str, Any]:
 
 
 def _is_closed(path: Path) -> bool:
-    return (path / "metadata.yaml").is_file()
+    return (path / METADATA).is_file()
 
 
 def _has_samples(path: Path) -> bool:

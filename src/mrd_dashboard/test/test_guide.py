@@ -18,6 +18,7 @@ from mrd_dashboard.guide import AS_GOOD, STEPS, Guide, Outcome, check_data, damp
 from mrd_dashboard.guide_steps import check_recordings, start_step
 from mrd_dashboard.import_files import import_files
 from mrd_dashboard.jobs import Job, JobRequest
+from mrd_dashboard.recordings import Notes
 from mrd_runs import Run, read_run, read_runs
 from mrd_sim.simulate import write_csv
 
@@ -158,6 +159,8 @@ def test_files_are_imported_all_or_none(dashboard, tmp_path: Path) -> None:
 
 def test_recordings_are_checked_and_the_steps_start_the_jobs_of_the_other_tabs(dashboard, monkeypatch) -> None:
     names = import_worn(dashboard)
+    # Notes that are written later, as on the first recording here, change its folder, but not when it was recorded.
+    dashboard.recordings.write_notes(names[0], Notes(text="as new"))
     asked: list[JobRequest] = []
 
     def start(request: JobRequest) -> Job:
@@ -169,13 +172,14 @@ def test_recordings_are_checked_and_the_steps_start_the_jobs_of_the_other_tabs(d
         asyncio.run(check_recordings(dashboard, []))
     with pytest.raises(InputError, match="take that one first"):
         start_step(dashboard, "fit", model="auto")
-    asyncio.run(check_recordings(dashboard, names))
+    asyncio.run(check_recordings(dashboard, names[::-1]))
     guide = dashboard.guide
+    assert guide.runs == tuple(names)
     (held_back,) = guide.held_back
     start_step(dashboard, "fit", model="auto")
     (request,) = asked
     assert (request.kind, request.model, len(request.runs)) == ("identify", "auto", len(names) - 1)
-    assert all(Path(run).name != held_back for run in request.runs)
+    assert [Path(run).name for run in request.runs] == [name for name in names if name != held_back]
     with pytest.raises(InputError, match="wait for its end or cancel it"):
         asyncio.run(check_recordings(dashboard, names))
 
@@ -227,3 +231,29 @@ def test_the_page_leads_by_one_sentence_and_one_button(visit, dashboard) -> None
 
     visit(work)
     assert dashboard.control.holds("a")
+
+
+def test_a_set_that_the_guide_has_queued_is_chosen_once_it_is_recorded(visit, dashboard, monkeypatch) -> None:
+    names = import_worn(dashboard)
+
+    async def queue_set(*_: object) -> str:
+        for name in names:
+            dashboard.queue.add(name, "", 1.0, batch="characterise-1")
+        return "queued"
+
+    monkeypatch.setattr(dashboard, "queue_set", queue_set)
+
+    async def work(user: User) -> None:
+        user.find("Take control").click()
+        user.find("No recordings yet?").click()
+        user.find(marker="record-set").click()
+        await user.should_see("queued")
+        (field,) = user.find(marker="guide-runs").elements
+        for run in list(dashboard.queue.runs):
+            assert field.value == []
+            dashboard.queue.end(run.number, "done", "", str(dashboard.recordings.folder / run.name))
+        async with asyncio.timeout(30):
+            while field.value != names:
+                await asyncio.sleep(0.1)
+
+    visit(work)

@@ -104,10 +104,10 @@ def request_of(dashboard: Dashboard, kind: Kind, form: Mapping[str, Any]) -> Job
         model = fitted
     return JobRequest(
         kind,
-        _paths(dashboard, form["runs"]),
+        dashboard.recordings.paths(form["runs"] or ()),
         model=model,
-        held_out=_paths(dashboard, form["held_out"]) if kind != "trend" else (),
-        reference=_paths(dashboard, form["reference"]) if kind == "diagnose" else (),
+        held_out=dashboard.recordings.paths(form["held_out"] or ()) if kind != "trend" else (),
+        reference=dashboard.recordings.paths(form["reference"] or ()) if kind == "diagnose" else (),
         parameters=fit,
         anyway=form["anyway"],
         seed=int(form["seed"] or 0),
@@ -172,10 +172,6 @@ def _form(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
     for field in fields:
         field.on("input-value", offer)
     ui.timer(2.0, offer)
-
-
-def _paths(dashboard: Dashboard, names: list[str] | None) -> tuple[str, ...]:
-    return tuple(str(dashboard.recordings.find(name).path) for name in names or [])
 
 
 def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:

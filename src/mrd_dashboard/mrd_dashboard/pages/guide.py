@@ -9,6 +9,7 @@ from typing import Any
 
 from nicegui import events, ui
 
+from mrd_dashboard.apply import apply_report
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.experiment_form import find_experiments, find_sets
 from mrd_dashboard.guide import STEPS, Step
@@ -44,7 +45,7 @@ _STATES = {
 def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
     """Build the page; ``shown`` tells whether it is the tab that one sees."""
     guide = dashboard.guide
-    form: dict[str, Any] = {"runs": list(guide.runs), "model": BEST_MODEL, "predicted": list(guide.held_back)}
+    form: dict[str, Any] = {"runs": list(guide.runs), "model": BEST_MODEL, "predicted": list(guide.held_back), "set": ""}
     cards: dict[Step, _StepCard] = {}
 
     async def check() -> None:
@@ -68,6 +69,14 @@ def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) ->
 
         tell(await dashboard.act(who, "cancel a job", work))
 
+    async def apply() -> None:
+        report = guide.folder(dashboard.jobs.folder, "diagnose") / "gap_report.json"
+
+        async def work() -> str:
+            return await asyncio.to_thread(apply_report, report, dashboard.plant)
+
+        tell(await dashboard.act(who, "apply to the simulator", work, str(report.parent)))
+
     with ui.column().classes("w-full max-w-4xl mx-auto gap-3"):
         with _step(cards, "data", "Check", check):
             runs = RecordingsField("recordings to explain").props("dense use-chips").classes("w-full")
@@ -83,7 +92,8 @@ def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) ->
             predicted = RecordingsField("recordings to predict, which were not fitted").props("dense use-chips")
             predicted.classes("w-full").bind_value(form, "predicted").mark("guide-predicted")
         with _step(cards, "validate"):
-            pass
+            if dashboard.plant:
+                ui.button("Apply to the simulator", on_click=apply).props("outline no-caps").mark("guide-apply")
         on_bench = bench_diagnosis_card(dashboard, who)
 
     async def offer() -> None:
@@ -98,6 +108,9 @@ def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) ->
         jobs = {job.folder.name: job for job in dashboard.jobs.all}
         for step, card in cards.items():
             card.show(dashboard, step, jobs)
+        if form["set"] and (recorded := dashboard.queue.recorded_set(form["set"])):
+            folder = dashboard.recordings.folder
+            form["runs"], form["set"] = [Path(run.bag).relative_to(folder).as_posix() for run in recorded], ""
         on_bench()
 
     for card in cards.values():
@@ -175,7 +188,9 @@ def _new_data(dashboard: Dashboard, who: Visitor, form: dict[str, Any]) -> None:
     async def record() -> None:
         async def work() -> str:
             with busy(button):
-                return await dashboard.queue_set(STANDARD_SET, sets[STANDARD_SET])
+                answer = await dashboard.queue_set(STANDARD_SET, sets[STANDARD_SET])
+            form["set"] = dashboard.queue.runs[-1].batch
+            return answer
 
         tell(await dashboard.act(who, "queue a set", work, STANDARD_SET))
 
@@ -198,7 +213,7 @@ def _new_data(dashboard: Dashboard, who: Visitor, form: dict[str, Any]) -> None:
     with expansion, ui.column().classes("w-full gap-2"):
         if STANDARD_SET in sets:
             button = ui.button("Record the standard set", on_click=record).props("outline no-caps").mark("record-set")
-            button.tooltip("Adds its runs to the queue; the rod moves once they are recorded.")
+            button.tooltip("Adds its runs to the queue. The rod moves while they are recorded; then they are chosen.")
         upload = (
             ui.upload(multiple=True, auto_upload=True, max_file_size=LARGEST_FILE, on_multi_upload=bring)
             .props('label="drop files: text, Excel, MATLAB, HDF5, TDMS, MCAP" flat bordered')
