@@ -9,8 +9,17 @@ ZERO_CELSIUS = 273.15
 
 
 def four_figures(value: float) -> str:
-    """Format a number with four significant figures."""
-    return f"{value:.4g}"
+    """Format a number with four significant figures, those before the point in full: 123456 rather than 1.235e+05."""
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
+
+
+def range_figures(lower: float, upper: float) -> str:
+    """Format the ends of a range with the decimals of the larger one: 0 to 6.105 rather than -0.0004897 to 6.105."""
+    largest = max(abs(lower), abs(upper))
+    if not 0.0 < largest < math.inf:
+        return f"{four_figures(lower)} to {four_figures(upper)}"
+    decimals = 3 - math.floor(math.log10(largest))
+    return " to ".join(four_figures(round(end, decimals) + 0.0) for end in (lower, upper))
 
 
 def per_cent(share: float) -> str:

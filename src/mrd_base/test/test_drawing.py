@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 import pytest
 from plotly.subplots import make_subplots
 
-from mrd_base.drawing import _shortened, draw
+from mrd_base.drawing import LEGEND_ROW, _shortened, draw
 from mrd_base.figures import LAYOUT, to_html
 
 
@@ -110,3 +110,13 @@ def test_a_wide_figure_is_also_drawn_for_a_telephone():
     part = to_html(bars())
     assert part.count("<svg") == 2
     assert part.count("aria-label") == 1
+
+
+def test_a_legend_of_many_rows_takes_no_room_from_the_diagram():
+    def height(names: list[str]) -> float:
+        lines = [go.Scatter(x=[0, 1], y=[0, 1], name=name) for name in names]
+        svg = draw(go.Figure(lines).update_layout(**LAYOUT, height=300), 360)
+        return float(re.search(r'viewBox="0 0 [\d.]+ ([\d.]+)"', svg)[1])
+
+    assert height(["a", "b"]) == 300
+    assert height([f"a line with a long name, {number}" for number in range(16)]) >= 300 + 7 * LEGEND_ROW

@@ -100,7 +100,7 @@ def loops(characterisation: Characterisation, view: View = BENCH) -> go.Figure:
 
 
 def responses(characterisations: Sequence[Characterisation]) -> go.Figure:
-    """Draw the mean responses to current steps, rising and falling, in one colour for each pair of levels; the current is thin."""
+    """Draw the mean responses to current steps, a colour for each pair of levels; the current is thin."""
     figure = make_subplots(rows=1, cols=2, subplot_titles=["rising current", "falling current"], horizontal_spacing=0.1)
     pairs: list[str] = []
     named: set[str] = set()

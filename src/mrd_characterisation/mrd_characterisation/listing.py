@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from mrd_base.quantities import four_figures
+from mrd_base.quantities import four_figures, range_figures
 from mrd_characterisation.characterisation import QUANTITIES, Value
 from mrd_characterisation.units import BENCH, ORIENTATIONS, View
 
@@ -59,7 +59,7 @@ def value_row(value: Value, view: View = BENCH) -> Sequence[str]:
     """Return the row of a value, below `HEAD`."""
     number, lower, upper, scatter = shown(value, view)
     unit = view.unit(value.unit).symbol
-    interval = "none" if math.isnan(lower) else f"{four_figures(lower)} to {four_figures(upper)}"
+    interval = "none" if math.isnan(lower) else range_figures(lower, upper)
     return (
         QUANTITIES[value.quantity].title,
         conditions(value, view),

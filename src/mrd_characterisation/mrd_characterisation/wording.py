@@ -3,6 +3,7 @@
 import math
 from typing import Protocol
 
+from mrd_base.quantities import four_figures, range_figures
 from mrd_characterisation.limits import Limit
 from mrd_characterisation.units import BENCH, View
 
@@ -31,11 +32,6 @@ class Conditions(Protocol):
         """m."""
 
 
-def four_figures(value: float) -> str:
-    """Format a number with four significant figures, those before the point in full: 123456 rather than 1.235e+05."""
-    return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
-
-
 def number_text(value: float, unit: str, view: View = BENCH) -> str:
     """Return a number in SI with four significant figures, in the unit shown."""
     shown = view.unit(unit)
@@ -51,7 +47,7 @@ def difference_text(value: float, unit: str, view: View = BENCH) -> str:
 def range_text(lower: float, upper: float, unit: str, view: View = BENCH) -> str:
     """Return the ends of a range in SI, with the unit shown once."""
     shown = view.unit(unit)
-    return f"{four_figures(shown.shown(lower))} to {four_figures(shown.shown(upper))} {shown.symbol}".rstrip()
+    return f"{range_figures(shown.shown(lower), shown.shown(upper))} {shown.symbol}".rstrip()
 
 
 def conditions_text(item: Conditions, view: View = BENCH) -> str:

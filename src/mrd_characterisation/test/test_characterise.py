@@ -8,6 +8,7 @@ import pytest
 
 from mrd_base import InputError
 from mrd_characterisation import QUANTITIES, Characterisation, Value, characterise
+from mrd_characterisation.cycles import dynamic_ranges
 
 
 def drawn(damper, seed):
@@ -105,6 +106,15 @@ def test_every_value_says_what_it_is_and_of_how_much_it_is_the_mean(found):
         if value.cycles > 1:
             assert value.lower <= value.value <= value.upper
             assert value.scatter >= 0.0
+
+
+def test_a_speed_without_the_smallest_current_has_no_dynamic_range(found):
+    forces = found.select("force_at_speed")
+    speed = found.select("dynamic_range")[0].speed
+    without = [value for value in forces if value.speed != speed or value.current]
+    ranges = {value.speed for value in found.select("dynamic_range")}
+    assert {value.speed for value in dynamic_ranges(forces)} == ranges
+    assert {value.speed for value in dynamic_ranges(without)} == ranges - {speed}
 
 
 def test_sines_alone_show_no_gas_no_response_and_no_dynamic_range(simulated_damper):

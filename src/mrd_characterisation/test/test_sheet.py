@@ -11,6 +11,7 @@ from mrd_characterisation import characterise, sheet_file
 from mrd_characterisation.acceptance import accept
 from mrd_characterisation.damper_test import DamperTest
 from mrd_characterisation.limits import golden_limits
+from mrd_characterisation.page import write_page
 from mrd_characterisation.sheet import MOST_ROWS, make_sheet
 from mrd_characterisation.sheet_file import BROWSERS, render_sheet, write_sheet
 from mrd_characterisation.units import View
@@ -128,3 +129,19 @@ def test_a_template_may_extend_the_sheet_and_runs_no_script(sheet, tmp_path):
 def test_an_unknown_paper_is_refused(sheet, tmp_path):
     with pytest.raises(InputError, match="--paper is a5"):
         write_sheet(sheet, tmp_path, paper="a5")
+
+
+@pytest.mark.skipif(not any(map(shutil.which, BROWSERS)), reason="no browser")
+def test_sheet_and_page_do_not_scroll_sideways_on_any_screen(sheet, damper, tmp_path):
+    from playwright.sync_api import sync_playwright
+
+    files = [write_sheet(sheet, tmp_path)[0], write_page([damper, replace(damper, name="golden")], tmp_path)]
+    with sync_playwright() as playwright:
+        executable = next(filter(None, map(shutil.which, BROWSERS)))
+        browser = playwright.chromium.launch(executable_path=executable, args=["--no-sandbox"])
+        for width in (400, 820, 1280):
+            page = browser.new_page(viewport={"width": width, "height": 900})
+            for file in files:
+                page.goto(file.as_uri())
+                assert page.evaluate("document.documentElement.scrollWidth") == width, (file.name, width)
+        browser.close()

@@ -34,7 +34,7 @@ def panels_of(runs: Sequence[Run], predictions: Sequence[Prediction] = ()) -> li
 
     def measured(series: str, x: str = "") -> list[Line]:
         return [
-            Line(run.name, run.time, getattr(run, series), getattr(run, x) if x else None, color)
+            Line(run.name, run.time, getattr(run, series), 1e3 * getattr(run, x) if x else None, color)
             for run, color in zip(runs, colors, strict=True)
         ]
 
@@ -44,7 +44,7 @@ def panels_of(runs: Sequence[Run], predictions: Sequence[Prediction] = ()) -> li
                 prediction.name if one else f"{run.name}, {prediction.name}",
                 run.time,
                 run.force - force if error else force,
-                getattr(run, x) if x else None,
+                1e3 * getattr(run, x) if x else None,
                 COLORS[(number + 1) % len(COLORS)] if one else color,
                 dashed=not one,
             )
@@ -60,7 +60,7 @@ def panels_of(runs: Sequence[Run], predictions: Sequence[Prediction] = ()) -> li
         Panel("", "velocity, mm/s", tuple(_scaled(line) for line in measured("velocity")), HEIGHT),
         Panel("time, s", "current, A", tuple(measured("current")), HEIGHT),
     ]
-    for series, title in (("position", "position, m"), ("velocity", "velocity, m/s")):
+    for series, title in (("position", "position, mm"), ("velocity", "velocity, mm/s")):
         panels.append(Panel(title, "force, N", (*measured("force", series), *predicted(series))))
     return panels
 

@@ -53,6 +53,8 @@ def work() -> None:
     for limitation in characterisation.limitations if acceptance.verdict == "not_decided" else ():
         print(f"note: {view.restated(limitation)}")
     print(*written, sep="\n")
+    if acceptance.verdict == "not_decided" and any(check.outcome == "not_decided" for check in open_checks):
+        print("To decide what is not decided: record more cycles, and judge these and the new recordings together.")
     if acceptance.verdict == "fail":
         print(f"To find the cause: {diagnose_command(acceptance, folder)}")
     if acceptance.verdict != "pass":

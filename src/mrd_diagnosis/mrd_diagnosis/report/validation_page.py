@@ -27,7 +27,8 @@ def validation_sentence(validation: Validation) -> str:
     runs = validation.runs
     count = f"{len(runs)} runs" if len(runs) > 1 else "the run"
     floor = f"a perfect model would have {format_error(validation.noise_floor)}"
-    error = f"The damper predicts {count} with an error of {format_error(validation.nrmse)}; {floor}."
+    size = f"{format_error(validation.nrmse)} of the force's standard deviation"
+    error = f"The damper predicts {count} with an error of {size}; {floor}."
     if np.isfinite(validation.nrmse) and validation.nrmse <= NEAR_NOISE * validation.noise_floor:
         error += " That is hardly more than noise."
     sentences = [error]
@@ -54,7 +55,7 @@ def write_validation(validation: Validation, folder: str | Path) -> Path:
         folder,
         "mrd_diagnosis",
         runs=[result.run for result in results],
-        title=f"{validation.damper.description}, predicted without a fit",
+        title=f"Prediction by {validation.damper.description}",
         sentence=validation_sentence(validation),
         headline=[
             ("error (NRMSE)", format_error(validation.nrmse)),
