@@ -215,7 +215,7 @@ def _earlier(folder: Path) -> list[tuple[JobRequest, Path, State]]:
     found: list[tuple[JobRequest, Path, State]] = []
     for kind, report in REPORTS.items():
         for path in folder.glob(f"{kind}-*/{report}"):
-            found.append((JobRequest(kind, (), "of an earlier day"), path.parent, "done"))
+            found.append((JobRequest(kind, (), "before this start of the page"), path.parent, "done"))
     return sorted(found, key=lambda entry: entry[1].stat().st_mtime)
 
 
