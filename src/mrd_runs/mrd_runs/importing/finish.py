@@ -12,6 +12,7 @@ from mrd_runs.formats import Recording
 from mrd_runs.importing.integration import integrate_velocity
 from mrd_runs.importing.quantities import Source
 from mrd_runs.importing.units import COLUMNS, si_unit, to_si
+from mrd_runs.importing.words import names_compression
 from mrd_runs.text import one_line
 
 Array = NDArray[np.float64]
@@ -94,6 +95,11 @@ def finish(
             told.append(f"{quantity} is in {unit}")
     if told:
         notes.append("; ".join(told))
+    for quantity, source in sources.items():
+        if names_compression(source.name) and quantity not in mapped.flip:
+            notes.append(
+                f"{one_line(source.name)} is taken as it is: if its numbers grow in compression, turn them with --flip {quantity}"
+            )
     for quantity in mapped.flip:
         columns[quantity] = -columns[quantity]
         notes.append(f"the sign of the {quantity} was turned")

@@ -3,7 +3,6 @@
 import itertools
 import re
 import shlex
-import unicodedata
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,29 +10,15 @@ from mrd_base import InputError
 from mrd_base.config import unknown_key
 from mrd_runs.importing.table import Column
 from mrd_runs.importing.units import UNITS, find_unit, is_unit, looks_like_unit
+from mrd_runs.importing.words import ALL_WORDS, WORDS, is_measured, is_word_of, words_of
 from mrd_runs.text import one_line
 
-WORDS: Mapping[str, frozenset[str]] = {
-    quantity: frozenset(words.split())
-    for quantity, words in {
-        "time": "time t timestamp elapsed zeit temps tiempo tempo",
-        "position": "position pos displacement disp stroke travel extension x lvdt weg hub lage auslenkung verschiebung "
-        "deplacement course posicion desplazamiento posicao deslocamento spostamento corsa",
-        "velocity": "velocity vel speed v xdot geschwindigkeit vitesse velocidad velocidade velocita",
-        "acceleration": "acceleration accel acc a beschleunigung aceleracion aceleracao accelerazione",
-        "force": "force f load loadcell effort kraft fuerza forca forza",
-        "current": "current curr i coil strom courant corriente corrente",
-        "temperature": "temperature temp temperatur temperatura",
-    }.items()
-}
-"""Words of column names: English, German, French, Spanish, Portuguese, Italian; without accents."""
-
-_ALL_WORDS = frozenset().union(*WORDS.values())
-_COMPOUNDS = ("zeit", "weg", "hub", "geschwindigkeit", "beschleunigung", "kraft", "strom", "temperatur")  # Kolbenweg
-_COMMANDED = ("set", "setpoint", "soll", "sollwert", "command", "commanded", "cmd", "target", "reference", "ref", "desired")
 _OPTIONS = {"current": "--current 0", "time": "--rate HZ"}  # in place of a column
-_BRACKETED = re.compile(r"[\s_]*[\[(<]\s*([^\])>]*?)\s*[\])>]")
-_SEPARATOR = re.compile(r"(?:\s+in\s+|[\s_/,]+|(?<=[a-z])(?=[A-Z]))")
+_BRACKETED = re.compile(r"[\s_]*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]")
+_SEPARATOR = re.compile(r"\s+in\s+|[\s_/,:;|]+")
+_DOTS = re.compile(r"\.+")  # as R writes brackets: Force..N.
+_CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
+_FACTOR = re.compile(r"(?:(?<!\w)[x×]|[*/÷])\s?10+(?!\w)|(?<![\w.])(?:[x×*]\s?)?10(?:\^|\*\*|e)-?\d+")
 _REPEATED = re.compile(r" \(\d+\)$")  # what the second column of a name has behind it
 _COUNTERS = (
     "sample",
@@ -172,7 +157,7 @@ def _time_of(quantity: str, column: Column, columns: Sequence[Column], times: Se
     """Return the column with the times of a column; None where there is none, or where it is not clear."""
     if column.time or len(times) < 2:
         return column.time or next(iter(times), None)
-    own = [name for name in times if WORDS[quantity] & set(_words(name))]
+    own = [name for name in times if WORDS[quantity] & set(words_of(name))]
     if len(own) == 1:
         return own[0]
     depth = {name: _common_parents(name, column.name) for name in times}
@@ -203,7 +188,7 @@ def _candidates(columns: Sequence[Column]) -> dict[str, list[str]]:
             unit = column.unit or _split(column.name)[1]
             of_column = {quantity: int(find_unit(quantity, unit) is not None) for quantity in UNITS if unit}
         best = [quantity for quantity, score in of_column.items() if score and score == max(of_column.values())]
-        if len(best) == 1 and not set(_COMMANDED) & set(_words(column.name)):
+        if len(best) == 1 and is_measured(best[0], _without_unit(best[0], column.name)):
             scores[best[0]][column.name] = of_column[best[0]]
     return {
         quantity: [name for name, score in found.items() if score == max(found.values())]
@@ -219,25 +204,20 @@ def _score(quantity: str, column: Column) -> int:
     """
     if re.sub(r"[\W_]", "", _REPEATED.sub("", column.name)).lower() == "xvalue":  # as LabVIEW calls it
         return 4 if quantity == "time" else 0
-    base, bracketed, appended = _split(column.name)
+    _, bracketed, appended = _split(column.name)
     unit = column.unit or bracketed
     if unit and is_unit(unit) and not find_unit(quantity, unit):
         return 0
-    is_unit_of_it = find_unit(quantity, appended) is not None
-    text = base if bracketed or is_unit_of_it or _is_other(appended) else column.name
+    text = _without_unit(quantity, column.name)
     # The last part of a path tells more than those before it, where it is more than a letter.
-    last = _words(re.split(r"[./]", text)[-1])
-    words = last if any(len(word) > 1 for word in set(last) & _ALL_WORDS) else _words(text)
-    known = [word for word in words if word in WORDS[quantity] or _is_compound(word, quantity)]
+    last = words_of(re.split(r"[./]", text)[-1])
+    words = last if any(len(word) > 1 for word in set(last) & ALL_WORDS) else words_of(text)
+    known = [word for word in words if is_word_of(word, quantity)]
     if not known:
         return 0
     if (unit and not find_unit(quantity, unit)) or (not unit and _is_other(appended)):
         return 1
     return 4 if len(words) == 1 else 3 if any(len(word) > 1 for word in known) else 2
-
-
-def _is_compound(word: str, quantity: str) -> bool:
-    return any(word.endswith(end) for end in _COMPOUNDS if end in WORDS[quantity])
 
 
 def _is_other(text: str) -> bool:
@@ -246,32 +226,64 @@ def _is_other(text: str) -> bool:
 
 
 def unit_of(quantity: str, column: Column) -> str:
-    """Return the unit of a column of a known quantity."""
-    _, bracketed, appended = _split(column.name)
-    return column.unit or bracketed or (appended if find_unit(quantity, appended) or _is_other(appended) else "")
+    """Return the unit of a column of a known quantity, with a factor before it where the name has one."""
+    base, bracketed, appended = _split(column.name)
+    unit = column.unit or bracketed or (appended if find_unit(quantity, appended) or _is_other(appended) else "")
+    factor = _FACTOR.search(base)
+    return f"{factor[0]} {unit}".strip() if factor else unit
+
+
+def _without_unit(quantity: str, name: str) -> str:
+    """Return a name without what is a unit at its end: one of a quantity, one that is not known, or a symbol such as A."""
+    base, bracketed, appended = _split(name)
+    is_symbol = any(appended in units for units in UNITS.values())
+    return base if bracketed or find_unit(quantity, appended) or _is_other(appended) or is_symbol else name
 
 
 def _split(name: str) -> tuple[str, str, str]:
-    """Return a name without unit, what stands in brackets as a unit does, and the end of the name that may be a unit.
+    """Return a name without unit, what stands in brackets as a unit does, and what else of the name may be a unit.
 
     Either is "" where there is none. A number in brackets is that of a column.
     """
-    name = _REPEATED.sub("", name)
-    brackets = [match for match in _BRACKETED.finditer(name) if not match[1].isdigit() and match.start() > 0]
+    name = _REPEATED.sub("", name).strip()
+    brackets = [match for match in _BRACKETED.finditer(name) if not match[1].isdigit() and len(match[0]) < len(name)]
+    brackets = [match for match in brackets if match.start() > 0 or looks_like_unit(match[1])]
     if brackets:
         match = next((match for match in brackets if looks_like_unit(match[1])), brackets[-1])
         return f"{name[: match.start()]} {name[match.end() :]}".strip(), match[1], ""
-    ends = [(match.start(), match.end()) for match in _SEPARATOR.finditer(name) if match.start() > 0]
-    for begin, end in ends:
+    ends, dots, humps = (
+        [match.span() for match in mark.finditer(name) if match.start()] for mark in (_SEPARATOR, _DOTS, _CAMEL)
+    )
+    for begin, end in sorted(ends + dots):
+        rest = name[end:].rstrip(".")
+        if looks_like_unit(rest) and ((begin, end) in ends or _names_quantity(name[:begin])):
+            return name[:begin], "", rest
+    if glued := _glued_unit(name):
+        return name[: -len(glued)], "", glued
+    for begin, end in humps:
         if looks_like_unit(name[end:]):
             return name[:begin], "", name[end:]
-    return (name[: ends[-1][0]], "", name[ends[-1][1] :]) if ends else (name, "", "")
+    for begin, end in ends:
+        if begin > 1 and name[:begin].lower() not in ("in", "min") and is_unit(name[:begin]) and _names_quantity(name[end:]):
+            return name[end:], "", name[:begin]
+    last = max([*ends, *humps], default=(len(name), len(name)))
+    return name[: last[0]], "", name[last[1] :]
 
 
-def _words(name: str) -> list[str]:
-    """Return the words of a name in lower case, without accents and numbers."""
-    plain = "".join(c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c)).replace("ß", "ss")
-    return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", plain)]
+def _names_quantity(text: str) -> bool:
+    return any(is_word_of(word, quantity) for word in words_of(text) for quantity in WORDS)
+
+
+def _glued_unit(name: str) -> str:
+    """Return the unit that ends a name without anything between, as in ``currentmA``; "" where none does."""
+    end = re.split(r"[^A-Za-zµ]", name)[-1]
+    if end.lower() in ALL_WORDS:
+        return ""
+    for length in range(min(4, len(end) - 3), 0, -1):
+        head, unit = end[:-length].lower(), end[-length:]
+        if any(head in words and find_unit(quantity, unit) for quantity, words in WORDS.items()):
+            return unit
+    return ""
 
 
 def topic_mappings(ranges: Mapping[str, float], *, current_is_given: bool) -> list[dict[str, str]]:

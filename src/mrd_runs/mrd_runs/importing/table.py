@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_runs.importing.units import is_unit, looks_like_unit
+from mrd_runs.importing.words import ALL_WORDS, words_of
 
 Array = NDArray[np.float64]
 Cell = str | float | None
@@ -17,6 +18,8 @@ LONGEST_HEAD = 1000
 MOST_VALUES = 5 * 10**7
 """Numbers that are read of a file: five columns of nearly three hours at 1 kHz, 400 MB."""
 
+_HEADER = 5
+"""Lines above the numbers in which the names and units of the columns are looked for."""
 _USUAL = 0.9
 """Share of rows with a number in a column, from which the first row of the table has one there, too."""
 
@@ -153,7 +156,7 @@ def locate_table(rows: Sequence[Sequence[Cell]], header: Callable[[int, int], Se
         return None
     width = max(len(rows[index]) for index in run)
     above = [index for index in range(run[0]) if any(cell is not None for cell in rows[index])]
-    names, units = _header([header(index, width) for index in above[-2:]], width)
+    names, units = header_of([header(index, width) for index in above[-_HEADER:]], width)
     columns = []
     for i in range(width):
         cells = [rows[index][i] for index in run if i < len(rows[index]) and rows[index][i] is not None]
@@ -162,15 +165,29 @@ def locate_table(rows: Sequence[Sequence[Cell]], header: Callable[[int, int], Se
     return Located(tuple(columns), run[0], len(run))
 
 
-def _header(above: Sequence[Sequence[Cell]], width: int) -> tuple[list[str], list[str]]:
-    """Return names and units of columns from the last two rows above them, where these have as many cells."""
+def header_of(above: Sequence[Sequence[Cell]], width: int) -> tuple[list[str], list[str]]:
+    """Return names and units of columns from the rows above them that have as many cells.
+
+    The names are those of the last row, or of one above it that names more quantities: channel numbers or types of numbers may
+    stand below. The units are those of the row that is nearest to the names.
+    """
     texts = [["" if cell is None else str(cell).strip() for cell in row] for row in above]
-    fitting = [row[:width] if len(row) >= width and any(row) and not any(map(_is_number, row)) else None for row in texts]
+    fitting = [
+        row[:width] for row in texts if len(row) >= width and any(map(words_of, row)) and not any(map(_is_number, row))
+    ]
+    of_units = [_are_units(row) for row in fitting]
+    named = [index for index, is_unit_row in enumerate(of_units) if not is_unit_row] or [*range(len(fitting))][-1:]
     units = [""] * width
-    names = fitting[-1] if fitting else None
-    if names and len(fitting) > 1 and fitting[-2] and _are_units(names) and not _are_units(fitting[-2]):
-        names, units = fitting[-2], [cell.strip("[]()<> -") for cell in names]
-    names = [name or f"column {i + 1}" for i, name in enumerate(names or [""] * width)]
+    names = [""] * width
+    if named:
+        known = {index: sum(bool(ALL_WORDS & set(words_of(cell))) for cell in fitting[index]) for index in named}
+        enough = [index for index in named if 2 * known[index] >= width]
+        place = max(enough or named[-1:], key=lambda index: (known[index], index))
+        names = fitting[place]
+        nearest = sorted((abs(index - place), -index) for index, is_unit_row in enumerate(of_units) if is_unit_row)
+        if nearest and -nearest[0][1] != place:
+            units = [cell.strip("[]()<>{} -") for cell in fitting[-nearest[0][1]]]
+    names = [name or f"column {i + 1}" for i, name in enumerate(names)]
     seen: Counter[str] = Counter()
     for i, name in enumerate(names):
         seen[name] += 1
@@ -180,7 +197,7 @@ def _header(above: Sequence[Sequence[Cell]], width: int) -> tuple[list[str], lis
 
 def _are_units(cells: Sequence[str]) -> bool:
     """Return whether most cells of a row name units."""
-    texts = [text for cell in cells if (text := cell.strip("[]()<> -"))]
+    texts = [text for cell in cells if (text := cell.strip("[]()<>{} -"))]
     known = sum(map(is_unit, texts))
     return known > 0 and 2 * sum(map(looks_like_unit, texts)) > len(texts)
 

@@ -30,11 +30,13 @@ _LENGTHS: Mapping[str, float] = {
     **{"m": 1, "mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3, "µm": 1e-6, "nm": 1e-9},
     **{"in": 0.0254, "ft": 0.3048, "mil": 2.54e-5, "thou": 2.54e-5, "mi": 1609.344},
 }
-_TIMES: Mapping[str, float] = {"s": 1, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60, "h": 3600}
+_TIMES: Mapping[str, float] = {"s": 1, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60, "h": 3600, "d": 86400}
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": _TIMES,
     "position": _LENGTHS,
-    "velocity": {f"{length}/{time}": a / b for length, a in _LENGTHS.items() for time, b in _TIMES.items() if b >= 1},
+    "velocity": {
+        f"{length}/{time}": a / b for length, a in _LENGTHS.items() for time, b in _TIMES.items() if 1 <= b <= 3600
+    },
     "acceleration": {f"{length}/s2": factor for length, factor in _LENGTHS.items()}
     | {"g": _G, "mg": 1e-3 * _G, "gal": 0.01},
     "force": {
@@ -51,7 +53,12 @@ _ZEROS = {"K": 273.15, "°F": 32.0}  # what 0 °C reads
 _SYNONYMS: Mapping[str, Mapping[str, str]] = {
     "time": {
         **{"s": "sec secs second seconds", "ms": "msec msecs millisecond milliseconds", "ns": "nsec nanosecond nanoseconds"},
-        **{"µs": "usec µsec microsecond microseconds", "min": "mins minute minutes", "h": "hr hrs hour hours"},
+        **{
+            "µs": "usec µsec microsecond microseconds",
+            "min": "mins minute minutes",
+            "h": "hr hrs hour hours",
+            "d": "day days",
+        },
     },
     "position": {
         **{"m": "meter meters metre metres", "mm": "millimeter millimeters millimetre millimetres"},
@@ -102,7 +109,7 @@ def find_unit(quantity: str, text: str) -> str | None:
     plain = re.sub(r"_?per_?|_", "/", plain, flags=re.IGNORECASE) if quantity in ("velocity", "acceleration") else plain
     plain = re.sub(r"/?s(?:ec)?-([12])$|/s(?:ec)?/s(?:ec)?$|/sec(?=2?$)", lambda m: _rate(m[1], m[0]), plain)
     plain = plain.replace("/hr", "/h")
-    forms = [plain, re.sub(r"^u(?=[A-Za-z])", "µ", plain)]
+    forms = [plain, re.sub(r"^[uU](?=[A-Za-z])", "µ", plain)]
     spoken = {form: unit for unit, words in _SYNONYMS[quantity].items() for form in words.split()}
     known = {unit: unit for unit in UNITS[quantity]}
     lower = {unit.lower(): unit for unit in reversed(list(UNITS[quantity]))}
