@@ -98,7 +98,8 @@ def finish(
     for quantity, source in sources.items():
         if names_compression(source.name) and quantity not in mapped.flip:
             notes.append(
-                f"{one_line(source.name)} is taken as it is: if its numbers grow in compression, turn them with --flip {quantity}"
+                f"{one_line(source.name)} is taken as it is: if its numbers grow in compression, turn them with "
+                f"--flip {quantity}"
             )
     for quantity in mapped.flip:
         columns[quantity] = -columns[quantity]

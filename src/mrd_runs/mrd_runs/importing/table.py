@@ -168,8 +168,8 @@ def locate_table(rows: Sequence[Sequence[Cell]], header: Callable[[int, int], Se
 def header_of(above: Sequence[Sequence[Cell]], width: int) -> tuple[list[str], list[str]]:
     """Return names and units of columns from the rows above them that have as many cells.
 
-    The names are those of the last row, or of one above it that names more quantities: channel numbers or types of numbers may
-    stand below. The units are those of the row that is nearest to the names.
+    The names are those of the last row, or of one above it that names more quantities: channel numbers or types of numbers
+    may stand below. The units are those of the row that is nearest to the names.
     """
     texts = [["" if cell is None else str(cell).strip() for cell in row] for row in above]
     fitting = [

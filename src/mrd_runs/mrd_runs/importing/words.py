@@ -26,17 +26,21 @@ _COMMANDED = (
     "consigne consigna"
 )
 _DERIVED = (
-    "error err deviation abweichung fehler erreur desviacion peak max maximum min minimum mean avg average mittelwert rms std "
-    "envelope limit offset tolerance"
+    "error err deviation abweichung fehler erreur desviacion peak max maximum min minimum mean avg average mittelwert rms "
+    "std envelope limit offset tolerance"
 )
 _NO_MEASUREMENT = frozenset(f"{_COMMANDED} {_DERIVED}".split())
 _OF_OTHERS: Mapping[str, frozenset[str]] = {
-    "current": frozenset("motor servo drive actuator antrieb moteur motore".split()),
-    "temperature": frozenset("motor servo drive ambient room air lab umgebung raum ambiante ambiente".split()),
+    quantity: frozenset(words.split())
+    for quantity, words in {
+        "current": "motor servo drive actuator antrieb moteur motore",
+        "temperature": "motor servo drive ambient room air lab umgebung raum ambiante ambiente",
+    }.items()
 }
 """Words of what else on a rig has such a quantity: that of the damper is meant."""
 _COMPRESSION = frozenset(
-    "compression compressive jounce bump einfederung druckkraft compresion compressao compressione".split()
+    {"compression", "compressive", "jounce", "bump", "einfederung", "druckkraft"}
+    | {"compresion", "compressao", "compressione"}  # Spanish, Portuguese, Italian
 )
 
 
