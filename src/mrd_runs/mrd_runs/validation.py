@@ -28,6 +28,7 @@ _LARGEST_MAGNITUDES = {
 }
 _LARGEST_STROKE = 2.0  # m, peak to peak; no damper on a bench has more
 _MEDIAN_INTERVALS = (5e-6, 0.25)  # s; 4 Hz to 200 kHz
+_TIME_UNITS = {"ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "minutes": 60.0, "hours": 3600.0, "days": 86400.0}
 _LONGEST_GAP, _LARGEST_GAP = 60.0, 100.0  # s, and relative to all other times
 _TEMPERATURES = (-60.0, 220.0)  # °C; the limits of damper oils and seals
 
@@ -122,9 +123,10 @@ def _check_units(columns: Mapping[str, Array], where: str) -> None:
     interval = float(np.median(np.diff(columns["time_s"])))
     shortest, longest = _MEDIAN_INTERVALS
     if not shortest <= interval <= longest:
-        suspicion = "is it in ms?" if interval > 1e-3 else "is it in minutes or hours?"
+        units = [unit for unit, size in _TIME_UNITS.items() if shortest <= interval * size <= longest]
         raise InputError(
-            f"{where}: time_s advances by {interval:g} a sample, expected {shortest:g} to {longest:g} s; {suspicion}"
+            f"{where}: time_s advances by {interval:g} a sample, expected {shortest:g} to {longest:g} s; "
+            f"is it in {' or '.join(units) or 'another unit'}?"
         )
     stroke = float(np.ptp(columns["position_m"]))
     if stroke > _LARGEST_STROKE:

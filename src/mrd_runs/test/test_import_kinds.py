@@ -521,7 +521,7 @@ def test_a_unit_that_is_not_told_is_asked_for_with_its_option(imported: Any, tmp
     table(tmp_path / "a.csv", "time,disp,load", TIME, 1e3 * position(TIME), force(TIME))
     error = imported("a.csv --current 0")
     assert isinstance(error, str)
-    assert error.endswith("is it in mm? Say so with --units QUANTITY=UNIT\n")
+    assert error.endswith("is it in mm? Say so with --units position=UNIT\n")
     check(only(imported("a.csv --current 0 --units position=mm")))
 
 

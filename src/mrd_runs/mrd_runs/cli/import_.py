@@ -85,7 +85,8 @@ def _make_run(name: str, recording: Recording, file: Path) -> Run:
         return make_run(name, recording.columns, recording.info, where=str(file), place=recording.place)
     except InputError as error:
         if "; is it in " in str(error):
-            raise InputError(f"{error} Say so with --units QUANTITY=UNIT") from None
+            quantity = next((name for name, column in COLUMNS.items() if f" {column} " in str(error)), "QUANTITY")
+            raise InputError(f"{error} Say so with --units {quantity}=UNIT") from None
         raise
 
 

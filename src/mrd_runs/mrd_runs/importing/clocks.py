@@ -1,7 +1,7 @@
 """The times of one series: which of them are wrong, where its clock was set back, and how often it repeats a time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,6 +25,11 @@ _GAP = 5.0
 """Gap between two blocks of a file in usual steps, from which they are two passes."""
 _LATE = 20
 """Samples in a row that may have been written late, and are no pass of their own."""
+_ROUNDED = (0.02, 0.5)
+"""Last digit of the times, relative to the sampling interval, of which the rounding is removed: a larger step may be that of
+a missing sample."""
+_MOST_STEPS = 8
+"""Different steps between times of few digits."""
 MOST_REPEATS = 0.05
 """Share of times that repeat another one, above which a clock is too coarse to tell the times of the samples."""
 
@@ -66,7 +71,7 @@ def find_passes(
     Parameters
     ----------
     time : ndarray (n,)
-        Finite times in s, in the order in which the samples were written.
+        Times in s, in the order in which the samples were written.
     receipt : ndarray (n,), optional
         Times in s of another clock, which is known to run steadily: it shows a wrong time at once.
     any_order : bool
@@ -77,13 +82,27 @@ def find_passes(
     blocks : sequence of int
         Indices at which a block of the file begins: a gap there parts two passes.
     """
+    finite = np.flatnonzero(np.isfinite(time))
+    if len(finite) < len(time):
+        found = find_passes(
+            time[finite],
+            None if receipt is None else receipt[finite],
+            any_order=any_order,
+            unset=unset,
+            blocks=np.searchsorted(finite, blocks).tolist(),
+        )
+        told = [f"{len(time) - len(finite)} of {len(time)} without a time dropped", *found.told]
+        return replace(found, pieces=[finite[piece] for piece in found.pieces], told=told)
     wrong = _find_far(time) if any_order else _find_wrong(time, receipt, unset)
     kept = np.flatnonzero(~wrong)
     ordered = time[kept]
     begins = np.searchsorted(kept, blocks)
     gaps = np.diff(ordered, prepend=ordered[:1])
     cuts = sorted(
-        {*_find_resets(ordered, any_order), *(int(k) for k in begins if k and gaps[k] > _GAP * usual_step(ordered))}
+        {
+            *_find_resets(ordered, any_order),
+            *(int(k) for k in begins if 0 < k < len(ordered) and gaps[k] > _GAP * usual_step(ordered)),
+        }
     )
     jumps = [float(ordered[cut - 1] - ordered[cut]) for cut in cuts]
     pieces = [kept[begin:end] for begin, end in pairwise([0, *cuts, len(kept)])]
@@ -108,6 +127,39 @@ def find_passes(
     pieces = [piece[np.argsort(time[piece], kind="stable")] for piece in pieces]
     equal = sum(int(np.count_nonzero(np.diff(time[piece]) == 0)) for piece in pieces)
     return Passes(pieces, jumps, told, equal / max(1, len(kept)))
+
+
+def without_rounding(time: Array, order: Passes) -> tuple[Array, str]:
+    """Return times without the rounding of clocks of few digits, where the samples are evenly spaced within it.
+
+    Parameters
+    ----------
+    time : ndarray (n,)
+        In s, as they are written, such as 0.003, 0.007, 0.010 for 300 Hz in whole milliseconds.
+    order : Passes
+        Of these times.
+
+    Returns
+    -------
+    time : ndarray (n,)
+    told : str
+        What was done; "" where nothing was.
+    """
+    even, told = time.copy(), ""
+    for piece in order.pieces:
+        steps = np.diff(time[piece])
+        sizes = np.unique(np.round(steps / max(np.median(steps), 1e-300), 4)) * np.median(steps)
+        if not 2 <= len(sizes) <= _MOST_STEPS:
+            return time, ""
+        digit = float(np.diff(sizes).min())
+        number = np.arange(len(piece))
+        slope, start = np.polyfit(number, time[piece], 1)
+        line = start + slope * number
+        if not _ROUNDED[0] <= digit / slope <= _ROUNDED[1] or np.ptp(time[piece] - line) > 1.1 * digit:
+            return time, ""
+        even[piece] = line
+        told = f"rounded to {digit:.3g} s; within that, the samples are evenly spaced at {1 / slope:.6g} Hz, and put there"
+    return even, told
 
 
 def usual_step(time: Array) -> float:

@@ -101,6 +101,11 @@ def finish(
                 f"{one_line(source.name)} is taken as it is: if its numbers grow in compression, turn them with "
                 f"--flip {quantity}"
             )
+    unneeded = {"acceleration", "temperature", *(["velocity"] if "position" in series else [])}
+    for quantity in unneeded & set(columns) - {*mapped.columns, *mapped.topics, *mapped.units}:
+        if absent_values := int(np.count_nonzero(~np.isfinite(columns[quantity]))):
+            del columns[quantity]
+            notes.append(f"the {quantity} is left out: {absent_values} of {len(series[quantity])} values are no numbers")
     for quantity in mapped.flip:
         columns[quantity] = -columns[quantity]
         notes.append(f"the sign of the {quantity} was turned")

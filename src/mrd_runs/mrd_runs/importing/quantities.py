@@ -10,7 +10,7 @@ from mrd_base import InputError
 from mrd_base.config import unknown_key
 from mrd_runs.importing.table import Column
 from mrd_runs.importing.units import UNITS, find_unit, is_unit, looks_like_unit
-from mrd_runs.importing.words import ALL_WORDS, WORDS, is_measured, is_word_of, words_of
+from mrd_runs.importing.words import ALL_WORDS, WORDS, is_measured, is_word_of, names_quantity, words_of
 from mrd_runs.text import one_line
 
 _OPTIONS = {"current": "--current 0", "time": "--rate HZ"}  # in place of a column
@@ -256,7 +256,7 @@ def _split(name: str) -> tuple[str, str, str]:
     )
     for begin, end in sorted(ends + dots):
         rest = name[end:].rstrip(".")
-        if looks_like_unit(rest) and ((begin, end) in ends or _names_quantity(name[:begin])):
+        if looks_like_unit(rest) and ((begin, end) in ends or names_quantity(name[:begin])):
             return name[:begin], "", rest
     if glued := _glued_unit(name):
         return name[: -len(glued)], "", glued
@@ -264,14 +264,10 @@ def _split(name: str) -> tuple[str, str, str]:
         if looks_like_unit(name[end:]):
             return name[:begin], "", name[end:]
     for begin, end in ends:
-        if begin > 1 and name[:begin].lower() not in ("in", "min") and is_unit(name[:begin]) and _names_quantity(name[end:]):
+        if begin > 1 and name[:begin].lower() not in ("in", "min") and is_unit(name[:begin]) and names_quantity(name[end:]):
             return name[end:], "", name[:begin]
     last = max([*ends, *humps], default=(len(name), len(name)))
     return name[: last[0]], "", name[last[1] :]
-
-
-def _names_quantity(text: str) -> bool:
-    return any(is_word_of(word, quantity) for word in words_of(text) for quantity in WORDS)
 
 
 def _glued_unit(name: str) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_runs.importing.units import is_unit, looks_like_unit
-from mrd_runs.importing.words import ALL_WORDS, words_of
+from mrd_runs.importing.words import names_quantity, words_of
 
 Array = NDArray[np.float64]
 Cell = str | float | None
@@ -118,11 +118,16 @@ def join_tables(tables: Mapping[str, Table]) -> Table | None:
 
 @dataclass(frozen=True)
 class Located:
-    """Where a table stands among rows: its columns, the index of its first row of numbers, and the number of such rows."""
+    """Where a table stands among rows: its columns, the index of its first row of numbers, and the number of such rows.
+
+    ``names`` and ``units`` are those of the rows above, of all columns.
+    """
 
     columns: tuple[Column, ...]
     first: int
     rows: int
+    names: list[str]
+    units: list[str]
 
 
 def locate_table(rows: Sequence[Sequence[Cell]], header: Callable[[int, int], Sequence[Cell]]) -> Located | None:
@@ -162,7 +167,7 @@ def locate_table(rows: Sequence[Sequence[Cell]], header: Callable[[int, int], Se
         cells = [rows[index][i] for index in run if i < len(rows[index]) and rows[index][i] is not None]
         text = next((cell for cell in cells if isinstance(cell, str)), "") if 2 * counts[i] < len(cells) else ""
         columns.append(Column(names[i] if cells else "", units[i], text))
-    return Located(tuple(columns), run[0], len(run))
+    return Located(tuple(columns), run[0], len(run), names, units)
 
 
 def header_of(above: Sequence[Sequence[Cell]], width: int) -> tuple[list[str], list[str]]:
@@ -180,7 +185,7 @@ def header_of(above: Sequence[Sequence[Cell]], width: int) -> tuple[list[str], l
     units = [""] * width
     names = [""] * width
     if named:
-        known = {index: sum(bool(ALL_WORDS & set(words_of(cell))) for cell in fitting[index]) for index in named}
+        known = {index: sum(map(names_quantity, fitting[index])) for index in named}
         enough = [index for index in named if 2 * known[index] >= width]
         place = max(enough or named[-1:], key=lambda index: (known[index], index))
         names = fitting[place]

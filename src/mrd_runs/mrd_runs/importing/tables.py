@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_runs.formats import Recording
-from mrd_runs.importing.clocks import MOST_REPEATS, Indices, Passes, find_passes, usual_step
+from mrd_runs.importing.clocks import MOST_REPEATS, Indices, Passes, find_passes, usual_step, without_rounding
 from mrd_runs.importing.finish import Mapped, finish, times_note
 from mrd_runs.importing.quantities import Source, UndecidedError, find_sources, is_counter, is_speed, shown_options, unit_of
 from mrd_runs.importing.synchronise import MOTION, Series, synchronise
@@ -70,13 +70,15 @@ def _recordings(path: Path, table: Table, mapped: Mapped) -> list[Recording]:
         time, clause = _counted(raw[counter], counter) if counter else (np.arange(float(count)), "")
         clocks[""] = time / rate
         told += [clause] if clause else []
-    coarse = [name for name, time in clocks.items() if name and find_passes(time).repeats > MOST_REPEATS]
-    if coarse:
-        return _without_times(path, table, mapped, coarse[0], clocks[coarse[0]])
-    orders = {
-        name: find_passes(time, blocks=sorted({k for k in table.blocks if k < len(time)})).unrepeated(time)
-        for name, time in clocks.items()
-    }
+    orders: dict[str, Passes] = {}
+    for name, time in clocks.items():
+        order = find_passes(time, blocks=sorted({k for k in table.blocks if k < len(time)}))
+        rows = [raw[source.name] for source in wanted.values() if source.time == name]
+        if name and order.repeats > MOST_REPEATS and not _are_copies(time, rows):
+            return _without_times(path, table, mapped, name, time)
+        clocks[name], clause = without_rounding(time, order)
+        told += [f"{one_line(name)} is {clause}"] if clause else []
+        orders[name] = order.unrepeated(clocks[name])
     told += [clause for order in orders.values() for clause in order.told]
     notes = _layout_notes(table, sources, raw)
     if rate and mapped.rate is None:
@@ -136,6 +138,12 @@ def _counted(counter: Array, name: str) -> tuple[Array, str]:
     return numbers / usual, "; ".join(told)
 
 
+def _are_copies(time: Array, columns: Sequence[Array]) -> bool:
+    """Return whether each row that repeats a time is a copy of the row before."""
+    again = np.flatnonzero(np.diff(time) == 0) + 1
+    return all(np.array_equal(values[again], values[again - 1]) for values in columns)
+
+
 def _without_times(path: Path, table: Table, mapped: Mapped, name: str, time: Array) -> list[Recording]:
     """Make recordings of a table whose times repeat so often that they do not tell the time of each sample."""
     changes = np.flatnonzero(np.diff(time) != 0) + 1
@@ -145,7 +153,7 @@ def _without_times(path: Path, table: Table, mapped: Mapped, name: str, time: Ar
         return _recordings(path, replace(table, remarks=[*table.remarks, remark]), replace(mapped, rate=table.rate))
     if len(changes) < 2 or time[changes[-1]] <= time[changes[0]]:
         raise InputError(f"{path}: {seen}; expected one of each sample, or the sample rate with --rate HZ")
-    rate = (changes[-1] - changes[0]) / (time[changes[-1]] - time[changes[0]])
+    rate = 1 / np.polyfit(np.arange(len(time)), time, 1)[0]
     raise InputError(
         f"{path}: {seen}, expected one of each sample; where they are evenly spaced, give their rate: --rate {rate:.4g}"
     )

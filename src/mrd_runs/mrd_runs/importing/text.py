@@ -16,17 +16,23 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_runs.formats.csv_file import LONGEST_LINE, check_bounds
 from mrd_runs.importing.rates import facts_of_lines, stated_rate
-from mrd_runs.importing.table import LONGEST_HEAD, Cell, Located, Table, locate_table
+from mrd_runs.importing.table import LONGEST_HEAD, Cell, Located, Table, header_of, locate_table
 from mrd_runs.importing.time_of_day import clock_seconds, has_date
+from mrd_runs.importing.words import names_quantity
 from mrd_runs.text import one_line
 
 Array = NDArray[np.float64]
 
 _DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "bars", "": "spaces"}
-# A decimal comma needs digits on both sides: elsewhere a comma separates.
+# A decimal comma needs digits on both sides: elsewhere a comma separates. Fortran writes exponents with D. Thousands are
+# grouped by marks that cannot be decimal signs, or by the other one where a decimal sign follows: 1,234 may be 1.234.
 _NUMBERS = {
-    ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE | re.ASCII),
-    ",": re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE | re.ASCII),
+    decimal: re.compile(
+        rf"[+-]?({plain}|[1-9]\d{{0,2}}(['’\u00a0\u202f]\d{{3}})+({sign}\d+)?|[1-9]\d{{0,2}}([ {group}]\d{{3}})+{sign}\d+)"
+        r"([ed][+-]?\d+)?|[+-]?(nan|inf)",
+        re.IGNORECASE | re.ASCII,
+    )
+    for decimal, plain, sign, group in ((".", r"\d+\.?\d*|\.\d+", r"\.", ","), (",", r"\d+(,\d+)?", ",", r"\."))
 }
 _COMMENT = re.compile(r"^\s*(#|%|//)+\s?")
 
@@ -151,7 +157,10 @@ def _encoding(path: Path) -> str:
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
     if b"\0" in content:
-        raise InputError(f"{path}: is not text; expected a table of samples")
+        raise InputError(
+            f"{path}: is not text, and its ending names no format that is read; expected text, a bag, .xlsx, .mat, .h5 or "
+            ".tdms: export it as one of these"
+        )
     try:
         content[:-4].decode("utf-8")  # the last character may be cut
         return "utf-8-sig"
@@ -207,14 +216,18 @@ def _read_cells(
     series = {name: array("d") for name in names}
     ended: dict[str, int] = {}
     between = 0
+    above: list[tuple[int, str]] = []
     for number, line in _rows(path, encoding, dialect):
         cells = dialect.cells(line)
         if sum(isinstance(cell, float) for cell in cells) < 2:
-            _check_header(path, number, line, dialect)
-            between += 1
+            above.append((number, line.rstrip("\n")))
             ended.clear()
-            blocks.append(len(series[names[0]]))
             continue
+        if above:
+            _check_header(path, above, dialect)
+            between += len(above)
+            blocks.append(len(series[names[0]]))
+            above.clear()
         for name, index in zip(names, indices, strict=True):
             cell = cells[index] if index < len(cells) else None
             if cell is None:
@@ -224,26 +237,33 @@ def _read_cells(
             else:
                 line_of, found = (ended[name], "nothing") if name in ended else (number, one_line(repr(cell)))
                 raise InputError(f"{path}: line {line_of}: {one_line(name)} is {found}, expected a number")
-    if between:
-        remarks.append(f"{between} lines of text between the rows were skipped")
+    if between or above:
+        count = between + len(above)
+        remarks.append(f"{count} {'line' if count == 1 else 'lines'} of text between or below the rows skipped")
     if ended:
         remarks.append(f"{' and '.join(map(one_line, ended))} {'ends' if len(ended) == 1 else 'end'} early")
     return {name: np.array(values) for name, values in series.items()}
 
 
-def _check_header(path: Path, number: int, line: str, dialect: Dialect) -> None:
-    """Refuse a line between rows that names the columns in another order than the one above the table."""
-    known = [column.name for column in dialect.located.columns]
-    names = [str(cell) for cell in dialect.cells(line)]
-    if set(names) & set(known) and [name for name in names if name in known] != [name for name in known if name in names]:
-        raise InputError(f"{path}: line {number}: begins a table with other columns; split the file there")
+def _check_header(path: Path, above: Sequence[tuple[int, str]], dialect: Dialect) -> None:
+    """Refuse lines above a further block of rows that name its columns or units otherwise than those above the first."""
+    first = dialect.located
+    width = len(first.columns)
+    names, units = header_of([split_header(line, dialect.delimiter, width) for _, line in above], width)
+    is_header = any(name in first.names for name in names) or 2 * sum(map(names_quantity, names)) >= width
+    is_same = names == first.names and (units == first.units or not any(units))
+    if is_header and not is_same:
+        shown = ", ".join(map(one_line, names))
+        raise InputError(
+            f"{path}: line {above[0][0]}: begins a table with other columns or units ({shown}); split the file there"
+        )
 
 
 def _cell(text: str, decimal: str) -> Cell:
     if not text:
         return None
     if _NUMBERS[decimal].fullmatch(text):
-        return float(text.replace(",", "."))
+        return float(re.sub(rf"[^\w+\-{decimal}]", "", text).replace(",", ".").lower().replace("d", "e"))
     seconds = clock_seconds(text)
     return text if seconds is None else seconds
 

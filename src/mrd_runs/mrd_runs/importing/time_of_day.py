@@ -10,6 +10,9 @@ _DATE = (
 _TIME = r"(?:(?P<hour>\d{1,2}):(?P<minute>\d\d):(?P<second>\d\d(?:[.,:]\d+)?)|(?P<only>\d{1,3}):(?P<rest>\d\d(?:[.,]\d+)?))"
 _AFTER = r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?:(?P<sign>[+-])(?P<ahead>\d\d):?(?P<more>\d\d)?|Z|[A-Z]{2,5})?"
 _CLOCK = re.compile(_DATE + _TIME + _AFTER, re.ASCII)
+_COMPACT = re.compile(r"(\d{4})(\d\d)(\d\d)[T ](\d\d)(\d\d)(\d\d(?:[.,]\d+)?)", re.ASCII)
+_NAMED = re.compile(r"(?:[A-Za-z]{2,9}\.?,?\s+)?(\d\d?)[-. ]+([A-Za-z]{3})[a-z]*\.?[-, ]+(\d{4})", re.ASCII)
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _FIRST_DAY = datetime.date(2000, 1, 1).toordinal()  # the nearer to now, the more digits are left for the seconds
 
 
@@ -19,7 +22,7 @@ def clock_seconds(text: str) -> float | None:
     Of dates such as 03/04/2026 the order of day and month is not known: then the date does not count, and midnight
     shows as a jump back. ``12:34.5`` are minutes and seconds.
     """
-    match = _CLOCK.fullmatch(text)
+    match = _match(text)
     if match is None:
         return None
     if match["only"]:
@@ -47,5 +50,15 @@ def clock_seconds(text: str) -> float | None:
 
 def has_date(text: str) -> bool:
     """Return whether a time of day has a date that counts."""
-    match = _CLOCK.fullmatch(text)
+    match = _match(text)
     return match is not None and (match["year"] or match["dotted"]) is not None
+
+
+def _match(text: str) -> re.Match[str] | None:
+    """Return the parts of a time of day, also of those without marks or with the name of the month."""
+    if named := _NAMED.match(text):
+        month = named[2].lower()
+        if month not in _MONTHS:
+            return None
+        text = f"{named[3]}-{_MONTHS.index(month) + 1}-{named[1]}{text[named.end() :]}"
+    return _CLOCK.fullmatch(_COMPACT.sub(r"\1-\2-\3T\4:\5:\6", text))

@@ -55,6 +55,11 @@ def is_word_of(word: str, quantity: str) -> bool:
     return word in WORDS[quantity] or any(word.endswith(end) for end in _COMPOUNDS if end in WORDS[quantity])
 
 
+def names_quantity(text: str) -> bool:
+    """Return whether a text has a word of any quantity."""
+    return any(is_word_of(word, quantity) for word in words_of(text) for quantity in WORDS)
+
+
 def is_measured(quantity: str, name: str) -> bool:
     """Return whether a name tells nothing against a measurement of a quantity of the damper."""
     return not set(words_of(name)) & (_NO_MEASUREMENT | _OF_OTHERS.get(quantity, frozenset()))
