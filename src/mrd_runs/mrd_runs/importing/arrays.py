@@ -1,9 +1,12 @@
 """Columns among named arrays of any shape, as MATLAB and HDF5 files hold them."""
 
 from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from mrd_runs.importing.attributes import scaling_problem, texts_of
 
 _VALUES = ("values", "Values", "data", "Data", "value", "y")
 _LABELS = ("label", "Label", "Name", "name", "signalName")
@@ -34,11 +37,24 @@ def columns_of(name: str, shape: tuple[int, ...]) -> Iterator[tuple[str, tuple[i
 
 
 class Leaf(NamedTuple):
-    """Values in nested structures, with the unit and the name of the times that stand beside them; "" without."""
+    """Values in nested structures, with what stands beside them.
+
+    Attributes
+    ----------
+    values : any
+    unit, time : str
+        Unit, and name of the times; "" without.
+    lists : mapping of str to list of str
+        Lists of texts, which may name the columns of a matrix and their units.
+    problem : str
+        What of it is not understood.
+    """
 
     values: Any
     unit: str = ""
     time: str = ""
+    lists: Mapping[str, list[str]] = MappingProxyType({})
+    problem: str = ""
 
 
 def leaves_of(content: object, name: str = "") -> Iterator[tuple[str, Leaf]]:
@@ -51,17 +67,26 @@ def leaves_of(content: object, name: str = "") -> Iterator[tuple[str, Leaf]]:
         signal = next((key for key in _VALUES if isinstance(content.get(key), np.ndarray)), None)
         unit = _unit_beside(content) if signal else ""
         label = next((content[key] for key in _LABELS if isinstance(content.get(key), str) and content[key]), "")
-        times = next((key for key in _TIMES if signal and np.size(content.get(key, 0)) == len(content[signal])), "")
+        size = np.size(content[signal]) if signal else 0
+        times = next((key for key in _TIMES if size and np.size(content.get(key, 0)) == size), "")
+        problem = (
+            scaling_problem({key: value for key, value in content.items() if np.ndim(value) == 0}) if signal and name else ""
+        )
+        lists = {str(key): texts for key, value in content.items() if (texts := texts_of(value))}
+        units = _units_of_fields(content, lists)
         for key, value in content.items():
+            own = f"{name}.{key}" if name else str(key)
             if key == signal and (unit or label or times or key == "values"):
-                parent, _, own = name.rpartition(".")
-                shown = label or own
+                parent, _, last = name.rpartition(".")
+                shown = label or last
                 yield (
                     (f"{parent}.{shown}" if parent else shown or key),
-                    Leaf(value, unit, f"{name}.{times}" if times and name else times),
+                    Leaf(value, unit, f"{name}.{times}" if times and name else times, lists, problem),
                 )
-            elif not (signal and key in (*_LABELS, *_UNITS, *_DESCRIPTIONS)):
-                yield from leaves_of(value, f"{name}.{key}" if name else str(key))
+            elif isinstance(value, np.ndarray) and value.dtype.kind in "fiu":
+                yield own, Leaf(value, units.get(key, ""), lists=lists, problem=problem if key == signal else "")
+            elif not (signal and key in (*_LABELS, *_UNITS, *_DESCRIPTIONS)) and not (key in _UNITS and units):
+                yield from leaves_of(value, own)
     elif isinstance(content, list | np.ndarray) and len(content) and all(isinstance(item, Mapping) for item in content):
         samples = _as_columns(content)
         if samples:
@@ -72,6 +97,17 @@ def leaves_of(content: object, name: str = "") -> Iterator[tuple[str, Leaf]]:
                 yield from leaves_of(item, name if is_signal and _has_label(item) else f"{name}({number})")
     else:
         yield name, Leaf(content)
+
+
+def _units_of_fields(content: Mapping[str, Any], lists: Mapping[str, list[str]]) -> dict[str, str]:
+    """Return the units of fields of a structure, where a field of units has them by the names of these or in their order."""
+    vectors = [str(key) for key, value in content.items() if isinstance(value, np.ndarray) and value.dtype.kind in "fiu"]
+    for key in _UNITS:
+        if isinstance(content.get(key), Mapping):
+            return {name: str(unit) for name, unit in content[key].items() if name in vectors and isinstance(unit, str)}
+        if len(lists.get(key, ())) == len(vectors) > 1:
+            return dict(zip(vectors, lists[key], strict=True))
+    return {}
 
 
 def _has_label(item: Mapping[str, Any]) -> bool:
@@ -89,5 +125,7 @@ def _as_columns(content: Any) -> dict[str, Any]:
     keys = list(content[0])
     if len(content) < FEWEST_ROWS or any(list(item) != keys for item in content):
         return {}
+    if any(isinstance(value, np.ndarray | list | Mapping) and np.size(value) for value in content[0].values()):
+        return {}  # signals, each with its values
     numbers = [key for key in keys if all(isinstance(item[key], int | float | np.number) for item in content)]
     return {key: np.array([item[key] for item in content], np.float64) for key in numbers}

@@ -6,8 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from mrd_runs.importing.units import looks_like_unit
+
 _SCALING = re.compile(r"scal|gain|offset|slope|factor|intercept|calib|multipl|sensitiv|coeff|polynom", re.IGNORECASE)
-_UNIT = re.compile(r"(phys\w*[\s_]?)?(unit|units|einheit|unit_?string|uom|unite|unidad|unita)", re.IGNORECASE)
+_UNIT = re.compile(
+    r"(phys\w*[\s_]?|ni_)?(unit|units|einheit|unit_?string|unit_?description|uom|unite|unidad|unita)", re.IGNORECASE
+)
+_NAMES = re.compile(r"name|column|channel|label|field|head|item|signal|variable", re.IGNORECASE)
 
 
 def text_of(value: object) -> str:
@@ -22,7 +27,36 @@ def text_of(value: object) -> str:
 def unit_attribute(attributes: Mapping[str, Any]) -> str:
     """Return the unit that attributes name; "" without one."""
     units = (text_of(value) for name, value in attributes.items() if _UNIT.fullmatch(name))
-    return re.sub(r"\s+since\s.*", "", next(filter(None, units), ""))
+    remarks = (text_of(value) for name, value in attributes.items() if name.lower() in ("description", "comment"))
+    return re.sub(r"\s+since\s.*", "", next(filter(None, units), "") or next(filter(looks_like_unit, remarks), ""))
+
+
+def texts_of(value: object) -> list[str]:
+    """Return the texts of a list or array of nothing else; empty for anything else."""
+    items = list(np.ravel(np.asarray(value, object))) if isinstance(value, np.ndarray | list | tuple) else []
+    texts = [text_of(item) for item in items]
+    return texts if all(texts) else []
+
+
+def listed_names(texts: Mapping[str, list[str]], count: int) -> tuple[list[str], list[str]]:
+    """Return names and units of the columns of a matrix, where lists beside it tell them; "" where they do not.
+
+    Parameters
+    ----------
+    texts : mapping of str to list of str
+        Lists by what they are called.
+    count : int
+        Number of columns.
+    """
+    names, units = [""] * count, [""] * count
+    for key, found in texts.items():
+        if count < 2 or len(found) != count:
+            continue
+        if _UNIT.fullmatch(key):
+            units = found
+        elif _NAMES.search(key) and len(set(found)) == count:
+            names = found
+    return names, units
 
 
 def scaling_problem(attributes: Mapping[str, Any], known: tuple[str, ...] = ()) -> str:

@@ -1,7 +1,7 @@
 """Tables in HDF5 files, among them those of MATLAB since version 7.3."""
 
-import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_runs.importing.arrays import columns_of
-from mrd_runs.importing.attributes import scaling_problem, text_of, unit_attribute
+from mrd_runs.importing.attributes import listed_names, scaling_problem, text_of, texts_of, unit_attribute
 from mrd_runs.importing.extras import load_extra
 from mrd_runs.importing.rates import stated_rate
 from mrd_runs.importing.table import MOST_VALUES, Column, Table
+from mrd_runs.importing.time_of_day import clock_seconds
 from mrd_runs.text import one_line
 
 Array = NDArray[np.float64]
@@ -21,6 +22,18 @@ Array = NDArray[np.float64]
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _APPLIED = ("scale_factor", "add_offset")
 """Attributes of packed numbers, by the conventions of netCDF: factor, and what is added then."""
+
+
+_STARTS = ("t0", "t_0", "x0", "start", "start_time", "t_start", "time_offset", "start_offset", "wf_start_offset")
+"""Attributes that tell the time of the first sample of a data set, in s or as a date."""
+_MOST_NAMES = 64
+
+
+class _Grid(NamedTuple):
+    """The times of a data set that has an interval: this one and the first time, in s."""
+
+    interval: float
+    start: float
 
 
 class _Place(NamedTuple):
@@ -56,6 +69,13 @@ def read_hdf5_table(path: Path) -> Table:
     columns: list[Column] = []
     places: dict[str, _Place] = {}
     facts: list[tuple[str, str]] = []
+    beside: dict[str, dict[str, list[str]]] = {}
+    grids: dict[str, _Grid] = {}
+
+    def collect(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "SO" and 1 < item.size <= _MOST_NAMES:
+            group, _, own = name.rpartition("/")
+            beside.setdefault(group, {})[own] = texts_of(item[()])
 
     def visit(name: str, item: Any) -> None:
         attributes = dict(item.attrs)
@@ -75,15 +95,20 @@ def read_hdf5_table(path: Path) -> Table:
                 columns.append(Column(f"{name}.{field}" if field else name, text="text" if kind in "SOU" else "no numbers"))
                 continue
             found = list(columns_of(f"{name}.{field}" if field else name, item.shape))
-            names, units = _labels(attributes, len(found))
+            lists = {key: texts_of(value) for key, value in attributes.items()}
+            names, units = listed_names({**beside.get(name.rpartition("/")[0], {}), **lists}, len(found))
             for (column, index), label, unit in zip(found, names, units, strict=True):
                 column = f"{name}/{label}" if label and f"{name}/{label}" not in places else column
-                columns.append(Column(column, unit, problem=scaling_problem(attributes, _APPLIED)))
+                unit = unit or unit_attribute(attributes)
+                columns.append(Column(column, unit, problem=scaling_problem(attributes, (*_APPLIED, *_STARTS))))
                 places[column] = _Place(name, field, index)
+                if grid := _grid(attributes):
+                    grids[column] = grid
 
     try:
         with h5py.File(path, "r") as file:
             facts.extend((key, _number_or_text(value)) for key, value in file.attrs.items())
+            file.visititems(collect)
             file.visititems(visit)
     except Exception as error:  # h5py raises many kinds for a damaged file
         raise InputError(f"{path}: cannot be read as an HDF5 file ({one_line(error)})") from None
@@ -92,7 +117,39 @@ def read_hdf5_table(path: Path) -> Table:
         raise InputError(
             f"{path}: holds no data sets of numbers; expected time, position and force" + (f" ({others})" if others else "")
         )
-    return Table(tuple(columns), lambda names: _read(h5py, path, places, names), rate=stated_rate(facts))
+    clocks: dict[str, tuple[_Grid, str]] = {}
+    if len(set(grids.values())) > 1:
+        of_grid: dict[_Grid, str] = {}
+        for column, grid in grids.items():
+            clocks.setdefault(of_grid.setdefault(grid, f"time of {column}"), (grid, column))
+        columns = [replace(each, time=of_grid[grids[each.name]]) if each.name in grids else each for each in columns]
+        columns += [Column(time, "s") for time in clocks]
+
+    def read(names: Sequence[str]) -> dict[str, Array]:
+        series = _read(h5py, path, places, [*dict.fromkeys(clocks[name][1] if name in clocks else name for name in names)])
+        for name in names:
+            if name in clocks:
+                grid, column = clocks[name]
+                series[name] = grid.start + np.arange(len(series[column])) * grid.interval
+        return series
+
+    return Table(tuple(columns), read, rate=stated_rate(facts))
+
+
+def _grid(attributes: Mapping[str, Any]) -> _Grid | None:
+    """Return the times of a data set by its own attributes, such as ``dt`` and ``t0``; None without interval and rate."""
+    facts = {key: _number_or_text(value) for key, value in attributes.items()}
+    rate = stated_rate(facts.items())
+    starts = (facts[key] for key in facts if key.lower() in _STARTS)
+    start = next((seconds for text in starts if (seconds := _seconds(text)) is not None), 0.0)
+    return _Grid(1 / rate, start) if rate else None
+
+
+def _seconds(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return clock_seconds(text)
 
 
 def _read(h5py: Any, path: Path, places: Mapping[str, _Place], names: Sequence[str]) -> dict[str, Array]:
@@ -115,20 +172,6 @@ def _read(h5py: Any, path: Path, places: Mapping[str, _Place], names: Sequence[s
     except Exception as error:  # as above
         raise InputError(f"{path}: cannot be read as an HDF5 file ({one_line(error)})") from None
     return series
-
-
-def _labels(attributes: Mapping[str, Any], count: int) -> tuple[list[str], list[str]]:
-    """Return names and units of the columns of a data set, where its attributes list them; else its unit for all."""
-    names, units = [""] * count, [unit_attribute(attributes)] * count
-    for key, value in attributes.items():
-        texts = [text_of(each) for each in np.ravel(value)] if isinstance(value, np.ndarray | list | tuple) else []
-        if count < 2 or len(texts) != count or not all(texts):
-            continue
-        if re.fullmatch(r"(unit|units)", key, re.IGNORECASE):
-            units = texts
-        elif re.search(r"name|column|channel|label|field", key, re.IGNORECASE) and len(set(texts)) == count:
-            names = texts
-    return names, units
 
 
 def _number_or_text(value: Any) -> str:

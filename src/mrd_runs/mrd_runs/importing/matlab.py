@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_runs.importing.arrays import columns_of, leaves_of
+from mrd_runs.importing.attributes import listed_names
 from mrd_runs.importing.hdf5 import is_hdf5, read_hdf5_table
 from mrd_runs.importing.rates import stated_rate
 from mrd_runs.importing.table import MOST_VALUES, Column, Table
@@ -53,8 +54,12 @@ def read_matlab_table(path: Path) -> Table:
     facts: list[tuple[str, str]] = []
     for name, leaf in leaves_of({key: value for key, value in content.items() if not key.startswith("__")}):
         if isinstance(leaf.values, np.ndarray) and leaf.values.dtype.kind in "fiu":
-            for column, index in columns_of(name, leaf.values.shape):
-                columns[column] = Column(column, leaf.unit, time=leaf.time)
+            found = list(columns_of(name, leaf.values.shape))
+            names, units = listed_names(leaf.lists, len(found))
+            parent = name.rpartition(".")[0]
+            for (column, index), label, unit in zip(found, names, units, strict=True):
+                column = (f"{parent}.{label}" if parent else label) if label else column
+                columns[column] = Column(column, unit or leaf.unit, time=leaf.time, problem=leaf.problem)
                 arrays[column] = leaf.values[index]
         elif isinstance(leaf.values, int | float | np.number):
             facts.append((name.rpartition(".")[2], str(leaf.values)))

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_runs.importing.extras import load_extra
 from mrd_runs.importing.rates import stated_rate
-from mrd_runs.importing.table import LONGEST_HEAD, Cell, Located, Table, locate_table
+from mrd_runs.importing.table import LONGEST_HEAD, Cell, Located, Table, begin_block, locate_table
 from mrd_runs.importing.time_of_day import clock_seconds, has_date
 from mrd_runs.text import one_line
 
@@ -25,8 +25,18 @@ _MOST_COLUMNS = 256
 _LARGEST_PART = 2**30  # bytes of a part of the workbook when unpacked
 
 
+class _Sheet(NamedTuple):
+    """A sheet with the beginning of the places of its rows, and the index of its first row of numbers."""
+
+    label: str
+    sheet: Any
+    first: int
+
+
 def read_sheet_table(path: Path) -> Table:
-    """Find the sheet of a workbook that holds the longest table of numbers.
+    """Find the sheets of a workbook that hold the longest table of numbers, or others with the same columns.
+
+    Sheets with the same columns are read one after another, as blocks: they are runs, or parts of one.
 
     Raises
     ------
@@ -48,15 +58,25 @@ def read_sheet_table(path: Path) -> Table:
     found = {name: table for name, table in tables.items() if table}
     if not found:
         raise InputError(f"{path}: none of its sheets holds rows of at least two numbers; expected a table of samples")
-    name = max(found, key=lambda key: found[key].rows)
-    table = found[name]
+    table = max(found.values(), key=lambda each: each.rows)
+    used = {name: each for name, each in found.items() if (each.names, each.units) == (table.names, table.units)}
+    others = [one_line(name) for name in found if name not in used]
+    sheets = [
+        _Sheet(f"sheet {one_line(name)}, " if len(used) > 1 else "", workbook[name], each.first)
+        for name, each in used.items()
+    ]
+    rows = [f"{one_line(name)} from row {each.first + 1}" for name, each in used.items()]
+    remarks = [f"not read, because of other columns: {', '.join(others)}"] if others else []
+    blocks: list[int] = []
     return Table(
         table.columns,
-        lambda names: _read_columns(workbook[name], table, names, path),
-        f"sheet {one_line(name)}, numbers from row {table.first + 1}",
-        lambda index: f"row {next(islice(_numbered(workbook[name], table), index, None))[0]}",
-        stated_rate(_facts(workbook[name], table.first)),
+        lambda names: _read_columns(sheets, table, names, path, blocks),
+        f"{'sheet' if len(rows) == 1 else 'sheets'} {', '.join(rows)}",
+        lambda index: next(islice(_numbered(sheets), index, None))[0],
+        stated_rate(fact for _, sheet, first in sheets for fact in _facts(sheet, first)),
         ragged=True,
+        remarks=remarks,
+        blocks=blocks,
     )
 
 
@@ -101,27 +121,32 @@ def _facts(sheet: Any, first: int) -> Iterator[tuple[str, str]]:
                 yield left, str(right)
 
 
-def _numbered(sheet: Any, table: Located) -> Iterator[tuple[int, list[Cell]]]:
-    """Yield number and cells of each row of the table that is not blank."""
-    for number, row in enumerate(_rows(sheet), 1):
-        if number > table.first and any(cell is not None for cell in row):
-            yield number, row
+def _numbered(sheets: Sequence[_Sheet]) -> Iterator[tuple[str, list[Cell]]]:
+    """Yield place and cells of each row of the tables that is not blank."""
+    for label, sheet, first in sheets:
+        for number, row in enumerate(_rows(sheet), 1):
+            if number > first and any(cell is not None for cell in row):
+                yield f"{label}row {number}", row
 
 
-def _read_columns(sheet: Any, table: Located, names: Sequence[str], path: Path) -> dict[str, Array]:
+def _read_columns(
+    sheets: Sequence[_Sheet], table: Located, names: Sequence[str], path: Path, blocks: list[int]
+) -> dict[str, Array]:
     indices = [[column.name for column in table.columns].index(name) for name in names]
     series = {name: array("d") for name in names}
-    ended: dict[str, int] = {}
-    for number, row in _numbered(sheet, table):
-        for name, index in zip(names, indices, strict=True):
-            cell = row[index] if index < len(row) else None
-            if cell is None:
-                ended.setdefault(name, number)
-            elif isinstance(cell, float) and name not in ended:
-                series[name].append(cell)
-            else:
-                line, found = (ended[name], "nothing") if name in ended else (number, one_line(repr(cell)))
-                raise InputError(f"{path}: row {line}: {one_line(name)} is {found}, expected a number")
+    for each in sheets:
+        blocks.append(begin_block(series))
+        ended: dict[str, str] = {}
+        for place, row in _numbered([each]):
+            for name, index in zip(names, indices, strict=True):
+                cell = row[index] if index < len(row) else None
+                if cell is None:
+                    ended.setdefault(name, place)
+                elif isinstance(cell, float) and name not in ended:
+                    series[name].append(cell)
+                else:
+                    at, found = (ended[name], "nothing") if name in ended else (place, one_line(repr(cell)))
+                    raise InputError(f"{path}: {at}: {one_line(name)} is {found}, expected a number")
     return {name: np.array(values) for name, values in series.items()}
 
 

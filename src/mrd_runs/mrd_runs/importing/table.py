@@ -1,5 +1,6 @@
 """Tables of other programs: named columns of numbers, and where a table begins among rows of cells."""
 
+from array import array
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from mrd_runs.importing.units import is_unit, looks_like_unit
 from mrd_runs.importing.words import names_quantity, words_of
+from mrd_runs.validation import FEWEST_SAMPLES
 
 Array = NDArray[np.float64]
 Cell = str | float | None
@@ -116,9 +118,17 @@ def join_tables(tables: Mapping[str, Table]) -> Table | None:
     return Table(tuple(columns), read, layout, one_clock=False)
 
 
+def begin_block(series: Mapping[str, "array[float]"]) -> int:
+    """Cut columns, of which some have ended early, to the shortest, so that another block fits; return its index."""
+    shortest = min(map(len, series.values()))
+    for values in series.values():
+        del values[shortest:]
+    return shortest
+
+
 @dataclass(frozen=True)
 class Located:
-    """Where a table stands among rows: its columns, the index of its first row of numbers, and the number of such rows.
+    """Where a table stands among rows: its columns, the index of its first row of numbers, and the most such rows in a row.
 
     ``names`` and ``units`` are those of the rows above, of all columns.
     """
@@ -146,17 +156,23 @@ def locate_table(rows: Sequence[Sequence[Cell]], header: Callable[[int, int], Se
         None without such rows.
     """
     numbers = [{i for i, cell in enumerate(row) if isinstance(cell, float)} for row in rows]
-    run: list[int] = []
-    members: list[int] = []
+    runs: list[list[int]] = []
     for index in (index for index, row in enumerate(rows) if any(cell is not None for cell in row)):
-        before = numbers[members[-1]] if members else set()
+        before = numbers[runs[-1][-1]] if runs else set()
         together = len(numbers[index] & before) >= max(2, 0.5 * max(len(numbers[index]), len(before)))
-        members = [*members, index] if together else [index]
-        if len(numbers[index]) >= 2 and len(members) > len(run):
-            run = members
-    counts = Counter(i for index in run for i in numbers[index])
-    core = {i for i, count in counts.items() if count >= _USUAL * len(run)}
+        if together:
+            runs[-1].append(index)
+        else:
+            runs.append([index])
+    runs = [run for run in runs if len(numbers[run[-1]]) >= 2]
+    longest = max(runs, key=len, default=[])
+    counts = Counter(i for index in longest for i in numbers[index])
+    core = {i for i, count in counts.items() if count >= _USUAL * len(longest)}
+    # A file of several blocks begins with the first that may be a recording.
+    least = min(FEWEST_SAMPLES, len(longest))
+    run = next((run for run in runs if len(run) >= least and core <= numbers[run[len(run) // 2]]), longest)
     run = run[next((k for k, index in enumerate(run) if core <= numbers[index]), 0) :]
+    counts = Counter(i for index in run for i in numbers[index])
     if not run:
         return None
     width = max(len(rows[index]) for index in run)
@@ -167,7 +183,7 @@ def locate_table(rows: Sequence[Sequence[Cell]], header: Callable[[int, int], Se
         cells = [rows[index][i] for index in run if i < len(rows[index]) and rows[index][i] is not None]
         text = next((cell for cell in cells if isinstance(cell, str)), "") if 2 * counts[i] < len(cells) else ""
         columns.append(Column(names[i] if cells else "", units[i], text))
-    return Located(tuple(columns), run[0], len(run), names, units)
+    return Located(tuple(columns), run[0], len(longest), names, units)
 
 
 def header_of(above: Sequence[Sequence[Cell]], width: int) -> tuple[list[str], list[str]]:

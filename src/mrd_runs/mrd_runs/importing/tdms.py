@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_runs.importing.attributes import scaling_problem
+from mrd_runs.importing.attributes import scaling_problem, unit_attribute
 from mrd_runs.importing.extras import load_extra
 from mrd_runs.importing.quantities import is_time
 from mrd_runs.importing.rates import stated_rate
@@ -52,8 +52,9 @@ def read_tdms_table(path: Path) -> Table:
     try:
         with path.open("rb") as stream, nptdms.TdmsFile.open(stream) as file:
             cut = file.file_status.incomplete_final_segment
-            rate = stated_rate((str(key), str(value)) for key, value in file.properties.items())
             groups = [group for group in file.groups() if group.channels()]
+            facts = [fact for each in (file, *groups) for fact in each.properties.items()]
+            rate = stated_rate((str(key), str(value)) for key, value in facts)
             counts = {(group.name, channel.name): len(channel) for group in groups for channel in group.channels()}
             for group in groups:
                 prefix = f"{group.name}/" if len(groups) > 1 else ""
@@ -69,8 +70,8 @@ def read_tdms_table(path: Path) -> Table:
                         is_first = not any(known.prefix == prefix for known in waves)
                         time = waves.setdefault(wave, f"{prefix}time" if is_first else f"{prefix}time of {channel.name}")
                         starts.append("wf_start_time" in properties)
-                    unit = properties.get("unit_string", "") or ("s" if channel.dtype.kind == "M" else "")
-                    columns.append(Column(name, str(unit), time=time, problem=scaling_problem(properties, _KNOWN)))
+                    unit = unit_attribute(properties) or ("s" if channel.dtype.kind == "M" else "")
+                    columns.append(Column(name, unit, time=time, problem=scaling_problem(properties, _KNOWN)))
                     channels[name] = (group.name, channel.name)
     except Exception as error:  # npTDMS raises many kinds for a damaged file
         raise InputError(f"{path}: cannot be read as a TDMS file ({one_line(error)})") from None

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_runs.formats.csv_file import LONGEST_LINE, check_bounds
 from mrd_runs.importing.rates import facts_of_lines, stated_rate
-from mrd_runs.importing.table import LONGEST_HEAD, Cell, Located, Table, header_of, locate_table
+from mrd_runs.importing.table import LONGEST_HEAD, Cell, Located, Table, begin_block, header_of, locate_table
 from mrd_runs.importing.time_of_day import clock_seconds, has_date
 from mrd_runs.importing.words import names_quantity
 from mrd_runs.text import one_line
@@ -226,7 +226,7 @@ def _read_cells(
         if above:
             _check_header(path, above, dialect)
             between += len(above)
-            blocks.append(len(series[names[0]]))
+            blocks.append(begin_block(series))
             above.clear()
         for name, index in zip(names, indices, strict=True):
             cell = cells[index] if index < len(cells) else None
