@@ -31,6 +31,7 @@ READERS: Mapping[str, Callable[[Path], Table]] = {
 _ENDINGS = (".csv", ".txt", ".dat", ".asc", ".tsv", ".lvm", *READERS)
 """Endings of the files that are read of a folder."""
 
+_ROS_1 = b"#ROSBAG V"
 _NOTHING = Mapped()
 
 
@@ -130,6 +131,11 @@ def _is_recording(path: Path) -> bool:
 def _read_table(path: Path, mapped: Mapped) -> Table:
     if not path.is_file():
         raise InputError(f"{path}: no such file; expected a recording")
+    with path.open("rb") as stream:
+        if stream.read(len(_ROS_1)) == _ROS_1:
+            raise InputError(
+                f"{path}: is a bag of ROS 1, expected one of ROS 2; convert it: rosbags-convert --src {path} --dst FOLDER"
+            )
     if mapped.topics:
         raise InputError(f"{path}: --topics is for bags; name the columns of this file with --map")
     return READERS.get(path.suffix.lower(), read_text_table)(path)

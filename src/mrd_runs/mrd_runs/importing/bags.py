@@ -16,7 +16,7 @@ from mrd_runs.importing.quantities import Source, listed, shown_options, topic_m
 from mrd_runs.importing.synchronise import synchronise
 from mrd_runs.importing.table import Column
 from mrd_runs.importing.topics import Address, list_numbers, parse_address, read_topics
-from mrd_runs.importing.units import COLUMNS, si_unit, to_si
+from mrd_runs.importing.units import COLUMNS, find_unit, si_unit, to_si
 from mrd_runs.validation import check_values
 
 _MOST_TRIALS, _MOST_TIMES = 24, 3
@@ -49,8 +49,8 @@ def _recordings(path: Path, mapped: Mapped) -> list[Recording]:
         raise InputError(
             f"{path}: --topics names no {missing}; expected position (or velocity), force and current (or --current)"
         )
-    passes, told = read_topics(path, addresses)
-    sources = {quantity: _source(quantity, address) for quantity, address in addresses.items()}
+    passes, told, units = read_topics(path, addresses)
+    sources = {quantity: _source(quantity, address, units[quantity]) for quantity, address in addresses.items()}
     recordings = []
     for one in passes:
         columns, done = synchronise(one.series, mapped.rate, str(path))
@@ -64,9 +64,12 @@ def _recordings(path: Path, mapped: Mapped) -> list[Recording]:
     return recordings
 
 
-def _source(quantity: str, address: Address) -> Source:
-    column = Column(f"{address.topic}.{address.field}")
-    return Source(str(address), unit_of(quantity, column))
+def _source(quantity: str, address: Address, unit: str) -> Source:
+    """Return where a quantity comes from; its unit may stand beside it, or end the name of field, element or topic."""
+    unit = unit or unit_of(quantity, Column(f"{address.topic}.{address.field}"))
+    names = (address.index, address.topic.rpartition("/")[2])
+    ends = (found for name in names if find_unit(quantity, found := unit_of(quantity, Column(name))))
+    return Source(str(address), unit or next(ends, ""))
 
 
 def _question(path: Path, mapped: Mapped) -> InputError:

@@ -1,7 +1,7 @@
 """Series in bags of other benches: numbers in messages of any type, named as ``/topic.field[index]``."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from operator import attrgetter
@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 _ADDRESS = re.compile(r"(?P<topic>[^.\[\]\s]+)\.(?P<field>[\w.]+)(\[(?P<index>[^\[\]]+)\])?")
 _MOST_ELEMENTS = 64  # of an array that is listed
 _LISTED_MESSAGES = 50
+_FEWEST_ALTERNATING = 50
+_ALTERNATING = 2.0
+"""Change from a value to the next, relative to that to the one after, from which two series alternate: noise has 1."""
 _NO_SERIES = ("rosout", "parameter_events", "clock")
 
 
@@ -71,7 +74,7 @@ def parse_address(text: str, option: str) -> Address:
     return Address(match["topic"], match["field"], match["index"] or "")
 
 
-def read_topics(path: Path, addresses: Mapping[str, Address]) -> tuple[list[Pass], list[str]]:
+def read_topics(path: Path, addresses: Mapping[str, Address]) -> tuple[list[Pass], list[str], dict[str, str]]:
     """Read numbers from the messages of a bag, on one clock.
 
     Parameters
@@ -86,32 +89,44 @@ def read_topics(path: Path, addresses: Mapping[str, Address]) -> tuple[list[Pass
     passes : list of Pass
         One of each time that the clock ran.
     told : list of str
-        Clauses about the clocks.
+        Clauses about messages and clocks.
+    units : dict of str to str
+        By quantity, where a field ``unit`` stands beside a number; "" else.
 
     Raises
     ------
     InputError
-        When the bag cannot be read, a topic, a field or an element is not there, or the clocks cannot be put onto one.
+        When the bag cannot be read, a topic, a field or an element is not there, messages of several sensors stand on one
+        topic, or the clocks cannot be put onto one.
     """
     names = {address.topic.rsplit("/", 1)[-1] for address in addresses.values()}
     bag = read_bag(path, names, as_written=True)
     values: dict[str, Array] = {}
+    units: dict[str, str] = {}
+    left_out: list[str] = []
     topics: dict[str, Topic] = {}
     for topic in dict.fromkeys(address.topic for address in addresses.values()):
         wanted = {quantity: address for quantity, address in addresses.items() if address.topic == topic}
-        topics[topic], found = _read_topic(bag, topic, wanted, path)
+        topics[topic], found, found_units, clauses = _read_topic(bag, topic, wanted, path)
         values |= found
+        units |= found_units
+        left_out += clauses
     if "time" in addresses:
-        return _timed_by_a_number(path, addresses, values)
+        passes, told = _timed_by_a_number(path, addresses, values)
+        return passes, [*left_out, *told], units
     of = {quantity: address.topic for quantity, address in addresses.items()}
     passes, told = align_topics(topics, list(dict.fromkeys(of[name] for name in MOTION if name in of)), str(path))
-    return [
-        Pass(
-            {quantity: (one[topic].time, values[quantity][one[topic].index]) for quantity, topic in of.items()},
-            {quantity: one[topic].clock for quantity, topic in of.items()},
-        )
-        for one in passes
-    ], told
+    return (
+        [
+            Pass(
+                {quantity: (one[topic].time, values[quantity][one[topic].index]) for quantity, topic in of.items()},
+                {quantity: one[topic].clock for quantity, topic in of.items()},
+            )
+            for one in passes
+        ],
+        [*left_out, *told],
+        units,
+    )
 
 
 def _timed_by_a_number(
@@ -135,8 +150,10 @@ def _timed_by_a_number(
     ], told
 
 
-def _read_topic(bag: Bag, topic: str, wanted: Mapping[str, Address], path: Path) -> tuple[Topic, dict[str, Array]]:
-    """Return when the messages of a topic were received and stamped, and the values by quantity."""
+def _read_topic(
+    bag: Bag, topic: str, wanted: Mapping[str, Address], path: Path
+) -> tuple[Topic, dict[str, Array], dict[str, str], list[str]]:
+    """Return when the messages of a topic were received and stamped, values and units by quantity, and clauses."""
     if topic not in bag.topics:
         raise InputError(f"{path}: --topics: unknown topic {one_line(unknown_key(topic, sorted(bag.topics)))}")
     entry = bag.topics[topic]
@@ -147,14 +164,25 @@ def _read_topic(bag: Bag, topic: str, wanted: Mapping[str, Address], path: Path)
     getters: dict[str, Callable[[Any], float]] = {}
     values: dict[str, list[float]] = {quantity: [] for quantity in wanted}
     headers: list[int] = []
-    for number, cdr in enumerate(entry.messages):
+    receipts: list[int] = []
+    frames: set[str] = set()
+    units: dict[str, str] = {}
+    named = {address.index for address in wanted.values() if address.index and not address.index.isdigit()}
+    for number, (receipt, cdr) in enumerate(zip(entry.stamps, entry.messages, strict=True)):
         try:
             message = bag.types.deserialize_cdr(cdr, entry.message_type)
         except Exception as error:  # rosbags raises many kinds
             raise InputError(f"{path}: a message of {one_line(topic)} cannot be read ({one_line(error)})") from None
+        # Controllers of several joints publish on one topic, each those that it knows.
+        if named - set(getattr(message, "name", named)) and (receipts or number + 1 < len(entry.messages)):
+            continue
         getters = getters or {quantity: _getter(message, address, path) for quantity, address in wanted.items()}
-        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        units = units or {quantity: _unit_beside(message, address) for quantity, address in wanted.items()}
+        header = getattr(message, "header", None)
+        stamp = getattr(header, "stamp", None)
         headers.append(stamp.sec * 10**9 + stamp.nanosec if stamp is not None else 0)
+        frames.add(getattr(header, "frame_id", ""))
+        receipts.append(receipt)
         for quantity, get in getters.items():
             try:
                 values[quantity].append(float(get(message)))
@@ -162,8 +190,40 @@ def _read_topic(bag: Bag, topic: str, wanted: Mapping[str, Address], path: Path)
                 raise InputError(
                     f"{path}: message {number} of {topic} has no {wanted[quantity]}; expected it in each"
                 ) from None
+    series = {name: np.array(of) for name, of in values.items()}
+    _check_publishers(series, wanted, frames, path)
     stamps = np.array(headers, np.int64) if any(headers) else None
-    return Topic(np.array(entry.stamps, np.int64), stamps), {name: np.array(of) for name, of in values.items()}
+    others = len(entry.messages) - len(receipts)
+    told = [f"{topic}: {others} messages without {' and '.join(sorted(named))} left out"] if others else []
+    return Topic(np.array(receipts, np.int64), stamps), series, units, told
+
+
+def _unit_beside(message: Any, address: Address) -> str:
+    """Return the unit that a field beside a number names; "" without one."""
+    *parents, _ = address.field.split(".")
+    parent = attrgetter(".".join(parents))(message) if parents else message
+    units = (getattr(parent, name, "") for name in ("unit", "units"))
+    return next((unit for unit in units if isinstance(unit, str) and unit), "")
+
+
+def _check_publishers(
+    series: Mapping[str, Array], wanted: Mapping[str, Address], frames: Collection[str], path: Path
+) -> None:
+    """Refuse messages of two sensors on one topic."""
+    topic = next(iter(wanted.values())).topic
+    if len(frames) > 1:
+        shown = " and ".join(one_line(repr(frame)) for frame in sorted(frames)[:5])
+        raise InputError(
+            f"{path}: the messages of {topic} have the frames {shown}; expected those of one sensor: record each on a "
+            "topic of its own"
+        )
+    for quantity, values in series.items():
+        next_, after = (float(np.sum((values[lag:] - values[:-lag]) ** 2)) for lag in (1, 2))
+        if len(values) > _FEWEST_ALTERNATING and next_ > _ALTERNATING**2 * after:
+            raise InputError(
+                f"{path}: {wanted[quantity]} alternates between two series, as where two nodes publish; expected one: "
+                "record each on a topic of its own"
+            )
 
 
 def _undefined(types: Mapping[str, str]) -> str:
