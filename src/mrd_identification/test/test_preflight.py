@@ -208,6 +208,27 @@ def test_a_channel_refreshed_slowly(good, channel):
     assert "refreshed at 100 Hz" in finding.text
 
 
+@pytest.mark.parametrize("channel", ["position", "force"])
+@pytest.mark.parametrize("samples", [1.5, 2.5, 25 / 6, 7.3, 25.0, 50.0])
+def test_a_channel_refreshed_at_any_interval(good, channel, samples):
+    values = getattr(run_named(good, "multisine"), channel)
+    number = np.arange(len(values))
+    slow = values[(np.floor(number / samples + 1e-9) * samples + 1e-9).astype(int)]
+    findings = preflight(with_change(good, "multisine", **{channel: slow}))
+    finding = only_finding(findings, "clock", "multisine", channel)
+    rate = float(re.search(r"refreshed at ([\d.]+) Hz", finding.text)[1])
+    assert rate == pytest.approx(500 / samples, rel=0.02)
+    assert "clipping" not in {finding.kind for finding in findings if finding.run == "multisine"}
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-4, 3e-4])
+def test_rounding_is_no_slow_refresh(good, step):
+    run = run_named(good, "multisine")
+    coarse = np.round(run.position / step) * step
+    findings = preflight(with_change(good, "multisine", position=coarse))
+    assert "clock" not in {finding.kind for finding in findings}
+
+
 def test_a_current_refreshed_slowly_is_no_command_in_steps(good):
     run = run_named(good, "multisine")
     ramp = 0.2 + 0.1 * np.sin(2 * np.pi * 0.7 * run.time)

@@ -452,7 +452,7 @@ def test_blocks_of_one_file_are_passes(imported: Any, tmp_path: Path) -> None:
     assert isinstance(runs, list)
     assert [len(run) for run in runs] == [300, 300]
     (tmp_path / "c.csv").write_text(block + later.replace(header, "Time (s),Force (N),Position (mm)"))
-    assert "line 302: begins a table with other columns; split the file there" in imported("c.csv --current 0.5")
+    assert "line 302: begins a table with other columns or units" in imported("c.csv --current 0.5")
 
 
 def test_a_wrong_time_is_dropped_with_a_word(imported: Any, tmp_path: Path) -> None:

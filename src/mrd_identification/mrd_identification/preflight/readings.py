@@ -21,8 +21,16 @@ COINCIDENCE_PROBABILITY = 1e-6
 """Probability below which equal readings in a row are no coincidence: far below one such case in all runs of a bench."""
 SHORTEST_HOLD = 4
 """Samples; fewer equal readings in a row are always taken for a coincidence."""
+SHORTEST_REFRESH = 1.2
+"""Samples between new readings; a channel that is refreshed more often repeats some by chance."""
 LONGEST_REFRESH = 20
-"""Samples; a channel that is refreshed more slowly than this is found as held readings."""
+"""Samples; a current that changes more slowly is a command in steps."""
+FEWEST_REFRESHES = 20
+"""New readings from which their intervals are compared."""
+REGULAR_SHARE = 0.6
+"""Share of the readings that stay equally long, within a sample."""
+MOST_IRREGULAR = 0.5
+"""Standard deviation in samples of the places of new readings from a regular grid; rounding to samples alone makes 0.3."""
 COMMANDED_LEVELS = 0.5
 """Number of different readings over the number of holds, up to which a current is a command that steps between levels."""
 USELESS_CLIPPING = 0.01
@@ -91,16 +99,17 @@ def check_held_readings(checked: CheckedRun) -> Iterator[Finding]:
         if not len(first) or np.ptp(values) == 0:
             continue
         length = last - first + 1
-        refresh_period = _refresh_period(channel, length)
+        refresh_period = _refresh_period(channel)
         levels = len(np.unique(values[first]))
-        if channel.name == "current" and (not checked.current_varies or levels <= COMMANDED_LEVELS * len(first)):
-            refresh_period = 0
+        steps = refresh_period > LONGEST_REFRESH or levels <= COMMANDED_LEVELS * len(first)
+        if channel.name == "current" and (not checked.current_varies or steps):
+            refresh_period = 0.0
         if refresh_period:
             rate = checked.run.rate / refresh_period
+            expected = f"expected a new reading at the sample rate of {checked.run.rate:.4g} Hz"
             text = (
-                f"the {channel.name} is refreshed at {rate:.3g} Hz only: each reading stays the same for {refresh_period} "
-                f"samples, expected a new reading at the sample rate of {checked.run.rate:.4g} Hz. Raise the rate of the "
-                f"sensor, or record at {rate:.3g} Hz."
+                f"the {channel.name} is refreshed at {rate:.3g} Hz only: each reading stays the same for {refresh_period:.3g} "
+                f"samples, {expected}. Raise the rate of the sensor, or record at {rate:.3g} Hz."
             )
             yield checked.finding("clock", "limitation", channel.name, text)
             continue
@@ -120,17 +129,27 @@ def check_held_readings(checked: CheckedRun) -> Iterator[Finding]:
             yield checked.finding("gap", "fault" if useless else "limitation", channel.name, text)
 
 
-def _refresh_period(channel: Channel, length: Indices) -> int:
-    """Samples between new readings, if all readings of a channel stay equally long; otherwise 0."""
-    short = length[length <= LONGEST_REFRESH]
-    if len(short) < max(20, len(channel.values) / 40):
-        return 0
-    usual = int(np.bincount(short).argmax())
-    changes = np.abs(np.diff(channel.values))
+def _refresh_period(channel: Channel) -> float:
+    """Return the samples between new readings, if those of a channel come at regular intervals; otherwise 0.
+
+    The interval may be any number: readings at 100 Hz stay for two and three samples of 250 Hz in turn.
+    """
+    places = np.flatnonzero(np.diff(channel.values)) + 1
+    length = np.diff(places)
+    if len(length) < FEWEST_REFRESHES:
+        return 0.0
+    common = np.bincount(length)
+    usual = int(np.argmax(common[1:] + np.append(common[2:], 0))) + 1
+    is_usual = (length == usual) | (length == usual + 1)
+    period = float(length[is_usual].mean())
+    changes = np.abs(channel.values[places] - channel.values[places - 1])
     # Noise within one step and a slow signal also repeat readings, but not with large changes at regular intervals.
-    has_large_changes = np.median(changes[changes > 0]) > 3 * channel.resolution
-    is_regular = np.mean(length == usual) > 0.6 and usual * np.sum(short == usual) > 0.4 * len(channel.values)
-    return usual if has_large_changes and is_regular else 0
+    if period < SHORTEST_REFRESH or is_usual.mean() < REGULAR_SHARE or np.median(changes) <= 3 * channel.resolution:
+        return 0.0
+    # Two readings may be alike by chance, so that one refresh is not seen.
+    number = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(length / period), 1.0))])
+    line = np.polynomial.Polynomial.fit(number, places, 1)
+    return float(line.deriv()(0.0)) if np.std(places - line(number)) < MOST_IRREGULAR else 0.0
 
 
 def _longer_than_coincidence(channel: Channel, first: Indices, last: Indices) -> Mask:
@@ -185,6 +204,8 @@ def check_spikes(checked: CheckedRun) -> Iterator[Finding]:
 def check_clipping(checked: CheckedRun) -> Iterator[Finding]:
     """Find readings that are cut off at the end of a range."""
     for channel in checked.channels.values():
+        if _refresh_period(channel):  # it stays at its extreme as long as anywhere
+            continue
         for side, limit in (("highest", channel.values.max()), ("lowest", channel.values.min())):
             # A supply that is off reads about zero.
             if channel.name == "current" and abs(limit) < 0.02:

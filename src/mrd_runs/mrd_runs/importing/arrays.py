@@ -125,7 +125,7 @@ def _as_columns(content: Any) -> dict[str, Any]:
     keys = list(content[0])
     if len(content) < FEWEST_ROWS or any(list(item) != keys for item in content):
         return {}
-    if any(isinstance(value, np.ndarray | list | Mapping) and np.size(value) for value in content[0].values()):
+    if any(isinstance(value, np.ndarray | list | Mapping) and len(value) for value in content[0].values()):
         return {}  # signals, each with its values
     numbers = [key for key in keys if all(isinstance(item[key], int | float | np.number) for item in content)]
     return {key: np.array([item[key] for item in content], np.float64) for key in numbers}

@@ -147,6 +147,8 @@ def without_rounding(time: Array, order: Passes) -> tuple[Array, str]:
     """
     even, told = time.copy(), ""
     for piece in order.pieces:
+        if len(piece) < FEWEST_SAMPLES:
+            return time, ""
         steps = np.diff(time[piece])
         sizes = np.unique(np.round(steps / max(np.median(steps), 1e-300), 4)) * np.median(steps)
         if not 2 <= len(sizes) <= _MOST_STEPS:

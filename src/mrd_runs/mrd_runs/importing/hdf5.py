@@ -130,7 +130,7 @@ def read_hdf5_table(path: Path) -> Table:
         for name in names:
             if name in clocks:
                 grid, column = clocks[name]
-                series[name] = grid.start + np.arange(len(series[column])) * grid.interval
+                series[name] = grid.start + np.arange(float(len(series[column]))) * grid.interval
         return series
 
     return Table(tuple(columns), read, rate=stated_rate(facts))

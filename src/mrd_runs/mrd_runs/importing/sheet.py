@@ -65,13 +65,13 @@ def read_sheet_table(path: Path) -> Table:
         _Sheet(f"sheet {one_line(name)}, " if len(used) > 1 else "", workbook[name], each.first)
         for name, each in used.items()
     ]
-    rows = [f"{one_line(name)} from row {each.first + 1}" for name, each in used.items()]
+    rows = [f"{one_line(name)}, numbers from row {each.first + 1}" for name, each in used.items()]
     remarks = [f"not read, because of other columns: {', '.join(others)}"] if others else []
     blocks: list[int] = []
     return Table(
         table.columns,
         lambda names: _read_columns(sheets, table, names, path, blocks),
-        f"{'sheet' if len(rows) == 1 else 'sheets'} {', '.join(rows)}",
+        f"{'sheet' if len(rows) == 1 else 'sheets'} {'; '.join(rows)}",
         lambda index: next(islice(_numbered(sheets), index, None))[0],
         stated_rate(fact for _, sheet, first in sheets for fact in _facts(sheet, first)),
         ragged=True,

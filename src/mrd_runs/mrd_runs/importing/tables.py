@@ -153,7 +153,7 @@ def _without_times(path: Path, table: Table, mapped: Mapped, name: str, time: Ar
         return _recordings(path, replace(table, remarks=[*table.remarks, remark]), replace(mapped, rate=table.rate))
     if len(changes) < 2 or time[changes[-1]] <= time[changes[0]]:
         raise InputError(f"{path}: {seen}; expected one of each sample, or the sample rate with --rate HZ")
-    rate = 1 / np.polyfit(np.arange(len(time)), time, 1)[0]
+    rate = 1 / np.polyfit(changes, time[changes], 1)[0]
     raise InputError(
         f"{path}: {seen}, expected one of each sample; where they are evenly spaced, give their rate: --rate {rate:.4g}"
     )

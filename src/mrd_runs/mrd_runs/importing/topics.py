@@ -112,8 +112,8 @@ def read_topics(path: Path, addresses: Mapping[str, Address]) -> tuple[list[Pass
         units |= found_units
         left_out += clauses
     if "time" in addresses:
-        passes, told = _timed_by_a_number(path, addresses, values)
-        return passes, [*left_out, *told], units
+        timed, told = _timed_by_a_number(path, addresses, values)
+        return timed, [*left_out, *told], units
     of = {quantity: address.topic for quantity, address in addresses.items()}
     passes, told = align_topics(topics, list(dict.fromkeys(of[name] for name in MOTION if name in of)), str(path))
     return (
@@ -253,7 +253,7 @@ def _getter(message: Any, address: Address, path: Path) -> Callable[[Any], float
         # The joints may come in another order in another message.
         return lambda message: field(message)[list(message.name).index(address.index)]
     if not (address.index.isdigit() and np.ndim(value) and int(address.index) < len(value)):
-        known = [str(name) for name in names] or [str(number) for number in range(np.size(value))]
+        known = sorted(map(str, names)) or [str(number) for number in range(np.size(value))]
         raise InputError(f"{path}: --topics {address}: unknown element {one_line(unknown_key(address.index, known))}")
     return lambda message: field(message)[int(address.index)]
 
