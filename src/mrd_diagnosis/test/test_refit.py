@@ -15,7 +15,14 @@ from mrd_diagnosis.diagnosis import RunNoise
 from mrd_diagnosis.fitting.base_fit import BaseFit, with_effect
 from mrd_diagnosis.fitting.null_distribution import draw_null_errors, draw_null_gains
 from mrd_diagnosis.fitting.refit import PLAUSIBLE_STEP, averaged_over_period, refit, scaled_inverse, without_each
-from mrd_diagnosis.fitting.statistics import bootstrap_counts, closed_fraction, effect_parameters, probabilities
+from mrd_diagnosis.fitting.statistics import (
+    bootstrap_counts,
+    certainty,
+    closed_fraction,
+    effect_parameters,
+    probabilities,
+    tempering_of,
+)
 from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, sum_of_squares, whitening
 from mrd_diagnosis.search.effect_search import EffectFit, refit_with_effects, score_effect, start_values
 from mrd_diagnosis.search.model_comparison import NO_EFFECT, compare_models, compare_on, estimate_run_scatter
@@ -404,3 +411,10 @@ def test_an_error_that_noise_explains_is_no_gap(delayed):
     comparison, _ = delayed
     certain = {"channel_delay": {"channel_delay": 1.0}}
     assert decide(comparison, 1.05, certain, {"channel_delay": 0.01}, np.random.default_rng(0)) == "no_gap"
+
+
+@pytest.mark.parametrize("gap", [-1.0, 0.0, 1e-300, 5e-324])
+@pytest.mark.parametrize("lead", [-1e30, -1.0, 0.0, 1.0, 1e30])
+def test_explanations_that_close_nothing_make_no_infinite_quotients(gap: float, lead: float) -> None:
+    assert certainty(lead, gap) == (0.5 if lead == 0 else float(lead > 0))
+    assert tempering_of(1e6, gap) == 1.0

@@ -22,13 +22,18 @@ MOST_HELD_OUT = 10.0
 """Ratio of the costs of a fold, held out and fitted, above which the fit without the fold diverged."""
 
 
+LEAST_GAP = 1e-12
+"""White squares that nothing tells from none. Explanations that close nothing, or make the error larger, count as this, so
+that all quotients are finite."""
+
+
 def certainty(lead: float, gap: float) -> float:
     """Return the probability of an explanation that leads another one by ``lead``, when both explain ``gap`` (white
     squares).
 
     Its formula may be wrong by `Thresholds.formula_error` of the gap.
     """
-    return float(expit(lead / (THRESHOLDS.formula_error * max(gap, np.finfo(float).tiny))))
+    return float(expit(lead / (THRESHOLDS.formula_error * max(gap, LEAST_GAP))))
 
 
 def tempering_of(dispersion: float, gap: float) -> float:
@@ -37,7 +42,7 @@ def tempering_of(dispersion: float, gap: float) -> float:
 
     ``dispersion`` is that of the errors (`error_dispersion`), which the distance contains already.
     """
-    return min(1.0, dispersion / max(0.5 * THRESHOLDS.formula_error * gap, np.finfo(float).tiny))
+    return min(1.0, dispersion / (0.5 * THRESHOLDS.formula_error * max(gap, LEAST_GAP)))
 
 
 def probabilities(alternatives: Sequence[Refit], rng: np.random.Generator) -> Array:

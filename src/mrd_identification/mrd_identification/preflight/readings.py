@@ -108,8 +108,8 @@ def check_held_readings(checked: CheckedRun) -> Iterator[Finding]:
             rate = checked.run.rate / refresh_period
             expected = f"expected a new reading at the sample rate of {checked.run.rate:.4g} Hz"
             text = (
-                f"the {channel.name} is refreshed at {rate:.3g} Hz only: each reading stays the same for {refresh_period:.3g} "
-                f"samples, {expected}. Raise the rate of the sensor, or record at {rate:.3g} Hz."
+                f"the {channel.name} is refreshed at {rate:.3g} Hz only: each reading stays the same for "
+                f"{refresh_period:.3g} samples, {expected}. Raise the rate of the sensor, or record at {rate:.3g} Hz."
             )
             yield checked.finding("clock", "limitation", channel.name, text)
             continue
