@@ -1,6 +1,7 @@
 """Fitted models for use in other software: as a Python callable, a C file or an FMU."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ from mrd_sim.c_code import c_source
 from mrd_sim.damper import Damper
 from mrd_sim.fmu import fmu_archive
 from mrd_sim.plant import read_damper
+from mrd_sim.simulators.simulator import Simulator
+from mrd_sim.wrapped_fmu import wrapped_simulator
 
 
 def load_damper(file: str | Path, *, anyway: bool = False) -> Damper:
@@ -60,9 +63,40 @@ def _gap_report(file: str | Path) -> dict[str, Any] | None:
     return content if is_report else None
 
 
+def simulator_to_wrap(file: str | Path) -> str:
+    """Return the FMU that a gap report corrects, with its options as on a command line; empty where it corrects none."""
+    simulator = (_gap_report(file) or {}).get("simulator") or {}
+    source = str(simulator.get("source", ""))
+    return source if str(simulator.get("name", "")).lower().endswith(".fmu") else ""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was exported.
+
+    Attributes
+    ----------
+    damper : Damper
+    kind : str
+        What the file is.
+    notes : tuple of str
+        What is to be known of it.
+    """
+
+    damper: Damper
+    kind: str
+    notes: tuple[str, ...] = ()
+
+
 def export_damper(
-    file: str | Path, output: str | Path, prefix: str = "mrd", without_effects: bool = False, anyway: bool = False
-) -> Damper:
+    file: str | Path,
+    output: str | Path,
+    prefix: str = "mrd",
+    without_effects: bool = False,
+    anyway: bool = False,
+    simulator: Simulator | None = None,
+    fmi: int | None = None,
+) -> Exported:
     """Write the damper of a file as a C file or an FMU; an existing file is never overwritten.
 
     Parameters
@@ -77,16 +111,24 @@ def export_damper(
         Leave out the effects that act with the model.
     anyway : bool
         As of `load_damper`.
+    simulator : Simulator, optional
+        The user's FMU that a diagnosis corrects, opened: the new FMU carries it (see `mrd_sim.wrapped_fmu`). Without it, the
+        new one gets the force of the simulator as an input.
+    fmi : {2, 3}, optional
+        Version of the standard for an FMU. Without it, that of ``simulator``, or 2.
 
     Raises
     ------
     InputError
         As `load_damper`; also for another ending, an existing file, a prefix that is not a C name, an FMU without a C
-        compiler, and a user's own model or effect that has no translation to C.
+        compiler, a simulator that is not the one of the diagnosis or cannot be carried, and a user's own model or effect
+        that has no translation to C.
     """
     output = Path(output)
     if output.suffix not in (".c", ".fmu"):
-        raise InputError(f"{output}: expected a name that ends in .c (C99 source) or .fmu (FMI 2.0 co-simulation)")
+        raise InputError(f"{output}: expected a name that ends in .c (C99 source) or .fmu (FMI co-simulation)")
+    if output.exists():
+        raise InputError(f"{output}: exists already; choose another name")
     damper = load_damper(file, anyway=anyway)
     values = dict(zip(damper.model.names, map(float, damper.theta), strict=True))
     if without_effects and damper.model.stands_for:
@@ -94,9 +136,24 @@ def export_damper(
     if without_effects:
         values = {name: value for name, value in values.items() if "." not in name}
         damper = Damper(damper.model.id, values, damper.model.laws)
-    source = output.suffix == ".c"
-    plain = damper.plain
-    content = c_source(damper.model, values, prefix, plain).encode() if source else fmu_archive(damper.model, values, plain)
+    if output.suffix == ".c":
+        if simulator is not None or fmi is not None:
+            raise InputError(f"{output}: a C file; --simulator and --fmi belong to an FMU")
+        content = c_source(damper.model, values, prefix, damper.plain).encode()
+        exported = Exported(damper, "C99 source")
+    elif simulator is not None:
+        _check_simulator(simulator, damper, file)
+        wrapped = wrapped_simulator(simulator, damper.model, values, damper.plain)
+        if fmi is not None and not wrapped.version.startswith(f"FMI {fmi}"):
+            raise InputError(f"--fmi is {fmi}: an FMU around {simulator.name} is of its version, {wrapped.version}")
+        content, exported = (
+            wrapped.content,
+            Exported(damper, f"{wrapped.version}, with {simulator.name} inside", wrapped.notes),
+        )
+    else:
+        content = fmu_archive(damper.model, values, damper.plain, fmi or 2)
+        block = f", to be put behind {damper.model.stands_for}" if damper.model.stands_for else ""
+        exported = Exported(damper, f"FMI {fmi or 2}.0{block}")
     try:
         with output.open("xb") as stream:
             stream.write(content)
@@ -104,4 +161,13 @@ def export_damper(
         raise InputError(f"{output}: exists already; choose another name") from None
     except OSError as error:
         raise InputError(f"{output}: cannot be written ({error.strerror})") from None
-    return damper
+    return exported
+
+
+def _check_simulator(simulator: Simulator, damper: Damper, file: str | Path) -> None:
+    """Refuse a simulator that is not the one that a damper corrects."""
+    corrects = damper.model.stands_for
+    if not corrects:
+        raise InputError(f"--simulator: {file} corrects no simulator; leave it out")
+    if simulator.name != corrects:
+        raise InputError(f"--simulator is {simulator.name}, expected {corrects}, which the diagnosis corrects")

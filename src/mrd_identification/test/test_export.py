@@ -98,7 +98,7 @@ def test_the_tool_writes_an_fmu(fit, path, tmp_path, monkeypatch, capsys):
     output = tmp_path / "damper.fmu"
     monkeypatch.setattr(sys, "argv", ["export", str(path), "--output", str(output)])
     cli.work()
-    assert capsys.readouterr().out == f"{output}: bingham, {len(fit.model.parameters)} parameters\n"
+    assert capsys.readouterr().out == f"{output}: bingham, {len(fit.model.parameters)} parameters (FMI 2.0)\n"
     with zipfile.ZipFile(io.BytesIO(output.read_bytes())) as archive:
         text = archive.read("modelDescription.xml").decode()
         assert archive.testzip() is None
@@ -159,7 +159,7 @@ def test_a_corrected_simulator_is_read_with_its_effects(corrected):
 def test_effects_are_left_out_of_an_export_only_where_that_is_asked_for(corrected, tmp_path):
     for without_effects, description in ((False, "bingham with gas_spring"), (True, "bingham")):
         file = tmp_path / f"{description}.c"
-        assert export_damper(corrected, file, without_effects=without_effects).description == description
+        assert export_damper(corrected, file, without_effects=without_effects).damper.description == description
         assert '{"viscous", "N s/m", 1234' in file.read_text()
         assert ('{"gas_spring.stiffness", "N/m", 500.0, ' in file.read_text()) is not without_effects
 

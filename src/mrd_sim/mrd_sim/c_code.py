@@ -73,8 +73,7 @@ def c_source(
     before = _acting(model, ("drive", "magnetics"), "current", prefix, unit)
     after = _acting(model, ("fluid", "structure", "sensing"), "effective", prefix, unit)
     series = _series(model, len(state), prefix, unit) if model.series_elements else ""
-    added = "excess" if model.stands_for else "0.0"
-    alone = f"{kernel}(1, q, s->inner + 2, &dt, &x, &v, &a, &force);"
+    alone = f"{kernel}(1, q, s->inner + 2, &p->dt, &p->x, &p->v, &p->a, &p->force);\n    p->force += added;"
     return Template(template("damper.c")).substitute(
         p=prefix,
         P=prefix.upper(),
@@ -102,9 +101,11 @@ def c_source(
         before=before,
         lag=lag,
         laws=laws,
-        damper=f"force = force_in_series(s, q, {added}, dt, x, v, a);" if series else alone,
+        damper="p->force = force_in_series(s, q, added, p->dt, p->x, p->v, p->a);" if series else alone,
         after=after,
-        **_simulator_parts(model, plain, prefix, lag, laws, kernel),
+        **_simulator_parts(
+            model, plain, prefix, lag, laws, kernel, slice(len(state) - len(model.series_elements) - 1, len(state) - 1)
+        ),
     )
 
 
@@ -113,22 +114,20 @@ _SIMULATOR_PARTS = (
     "plain_state",
     "simulator_comment",
     "simulator_parameter",
-    "excess_parameter",
-    "add_excess",
     "plain_function",
     "find_excess",
-    "excess_between",
     "keep_excess",
-    "excess_now",
+    "through_declaration",
+    "through",
 )
 
 
 def _simulator_parts(
-    model: DamperModel, plain: Mapping[str, float] | None, prefix: str, lag: str, laws: str, kernel: str
+    model: DamperModel, plain: Mapping[str, float] | None, prefix: str, lag: str, laws: str, kernel: str, elongations: slice
 ) -> dict[str, str]:
     """Return the parts of the C file that add the force of a simulator of the user's own; empty ones without it."""
     if not model.stands_for:
-        return dict.fromkeys(_SIMULATOR_PARTS, "")
+        return {**dict.fromkeys(_SIMULATOR_PARTS, ""), "added": "0.0"}
     parameters = ", ".join(c_number(value) for value in model.alone.vector(plain or {}))
     place = model.alone.names.index("coil_lag")
     return {
@@ -136,16 +135,15 @@ def _simulator_parts(
         "simulator_parameter": ", double simulator",
         "simulator_comment": " * The last argument is the simulator's force (N) at the sample; returned is this force with "
         "the effects.\n",
-        "plain_state": f"    double plain[{2 + model.states}], excess;  /* of the model alone, of the simulator */\n",
-        "excess_parameter": ", double excess",
-        "excess_between": ", g * s->excess + f * excess",
+        "plain_state": Template(template("through_state.c")).substitute(p=prefix, states=2 + model.states),
+        "added": "i + 1 < count ? (1.0 - share) * s->excess + share * excess : excess",
         "keep_excess": "    s->excess = excess;\n",
-        "excess_now": ", excess",
-        "add_excess": "" if model.series_elements else "    force += excess;\n",
         "plain_function": Template(template("plain.c")).substitute(
             p=prefix, parameters=parameters, place=place, lag=lag, laws=laws, kernel=kernel
         ),
-        "find_excess": Template(template("excess.c")).substitute(),
+        "find_excess": template("excess.c"),
+        "through_declaration": Template(template("through_declaration.c")).substitute(p=prefix),
+        "through": Template(template("through.c")).substitute(p=prefix, first=elongations.start, last=elongations.stop),
     }
 
 
@@ -160,8 +158,8 @@ def _state_at_rest(model: DamperModel) -> NDArray[np.float64]:
 
 
 def _acting(model: DamperModel, stages: Sequence[Stage], current: str, prefix: str, unit: CUnit) -> str:
-    """Return calls of the effects of some stages; ``current`` is the C name of theirs."""
-    signals = ("&dt", "&x", "&v", "&a", f"&{current}", "&force")
+    """Return calls of the effects of some stages; ``current`` is the one of a vertex that is theirs."""
+    signals = ("&p->dt", "&p->x", "&p->v", "&p->a", f"&p->{current}", "&p->force")
     calls = [
         (unit.function(effect.kernel, _KERNEL).name, _parameters(prefix, effect), f"s->inner + {states.start}")
         for stage in stages

@@ -1,10 +1,15 @@
 """Write a fitted model as C source or as an FMU."""
 
 import argparse
+import shlex
+import sys
+from pathlib import Path
 
-from mrd_base import run_tool
-from mrd_identification.export import export_damper
+from mrd_base import InputError, run_tool
+from mrd_identification.export import export_damper, simulator_to_wrap
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
+from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator
+from mrd_sim.fmu import VERSIONS
 
 
 def main() -> None:
@@ -15,7 +20,8 @@ def main() -> None:
 def work() -> None:
     """Read the arguments, export, print what was written."""
     parser = argparse.ArgumentParser(
-        description="Write a fitted damper as self-contained C source or as an FMI 2.0 co-simulation FMU."
+        description="Write a fitted damper as self-contained C source or as a co-simulation FMU. Of a diagnosis of an FMU "
+        "of your own, the new FMU carries yours, with the effects around it."
     )
     parser.add_argument(
         "damper",
@@ -34,6 +40,36 @@ def work() -> None:
     parser.add_argument(
         "--prefix", default="mrd", metavar="NAME", help="prefix of the names in the C file (default %(default)s)"
     )
+    parser.add_argument("--fmi", type=int, choices=VERSIONS, help="version of the standard of an FMU (default 2)")
+    parser.add_argument(
+        "--block",
+        action="store_true",
+        help="for a diagnosis of an FMU of your own: a block that gets its force as an input, and does not carry it",
+    )
+    add_simulator_arguments(parser)
     arguments = parser.parse_args()
-    damper = export_damper(arguments.damper, arguments.output, arguments.prefix, arguments.without_effects, arguments.anyway)
-    print(f"{arguments.output}: {damper.description}, {len(damper.model.parameters)} parameters")
+    if arguments.block and arguments.simulator:
+        raise InputError("--block: gets the force of the simulator as an input; leave out --simulator")
+    if not arguments.block and not arguments.simulator and Path(arguments.output).suffix == ".fmu":
+        source = shlex.split(simulator_to_wrap(arguments.damper))
+        if source and not Path(source[0]).is_file():
+            raise InputError(
+                f"{arguments.damper}: corrects the simulator {source[0]}, which is no longer there; name it with "
+                "--simulator, or add --block for a block that gets its force as an input"
+            )
+        if source:
+            arguments = parser.parse_args([*sys.argv[1:], "--simulator", *source])
+    with opened_simulator(arguments) as simulator:
+        exported = export_damper(
+            arguments.damper,
+            arguments.output,
+            arguments.prefix,
+            arguments.without_effects,
+            arguments.anyway,
+            simulator,
+            arguments.fmi,
+        )
+    damper = exported.damper
+    print(f"{arguments.output}: {damper.description}, {len(damper.model.parameters)} parameters ({exported.kind})")
+    for note in exported.notes:
+        print(f"note: {note}")

@@ -30,6 +30,11 @@ typedef struct {
 } ${p}_parameter;
 extern const ${p}_parameter ${p}_parameters[${P}_PARAMETERS];
 
+/* A point of the path: step that leads to it, motion of the rod, current of the coil, effective current, force. */
+typedef struct {
+    double dt, x, v, a, current, effective, force;
+} ${p}_vertex;
+
 /* A damper with its parameters and its present state. It may be copied. */
 typedef struct {
     double parameters[${P}_PARAMETERS];
@@ -48,7 +53,7 @@ void ${p}_init(${p}_state *s);
 $simulator_comment */
 double ${p}_step(
     ${p}_state *s, double dt, double position, double velocity, double acceleration, double current$simulator_parameter);
-
+$through_declaration
 #endif
 
 #ifndef ${P}_DECLARATIONS
@@ -72,13 +77,50 @@ static const int columns[] = {$law_columns};
 static const double floors[] = {$floors};
 
 $functions
-${series}static double vertex(${p}_state *s, double dt, double x, double v, double a, double current$excess_parameter)
+${series}/* Effects before the damper change motion and current in a vertex, and the damper answers; its force includes what is added. */
+static void lead(${p}_state *s, ${p}_vertex *p, double added)
 {
-    double effective, q[COEFFICIENTS], force = 0.0;
-$before    $lag(1, s->parameters + ${P}_COIL_LAG, s->inner, &dt, &current, &effective);
-    $laws(1, s->parameters, codes, columns, floors, &effective, q);
+    double q[COEFFICIENTS];
+$before    $lag(1, s->parameters + ${P}_COIL_LAG, s->inner, &p->dt, &p->current, &p->effective);
+    $laws(1, s->parameters, codes, columns, floors, &p->effective, q);
     $damper
-$add_excess$after    return force;
+}
+
+/* Effects behind the damper; returns the force that they leave. */
+static double follow(${p}_state *s, ${p}_vertex *p)
+{
+$after    return p->force;
+}
+
+/*
+ * The vertices that lead to a sample: the turning point before it, where the velocity has changed its sign, and the sample.
+ * Returns how many; share is the instant of the turning point, from 0 to 1.
+ */
+static int vertices(
+    ${p}_state *s, double dt, double position, double velocity, double acceleration, double current, ${p}_vertex p[2],
+    double *share)
+{
+    if (!s->moved) {
+        dt = 0.0;
+    }
+    /* Where the linear velocity is zero; rounding may put it on a sample. */
+    const double f = s->velocity * velocity < 0.0 ? s->velocity / (s->velocity - velocity) : 0.0, g = 1.0 - f;
+    const int turns = dt > 0.0 && f > 0.0 && f < 1.0;
+    if (turns) {
+        /* The turning point follows from the cubic through both samples with their velocities. */
+        const double turning = g * g * (1.0 + 2.0 * f) * s->position + f * g * g * dt * s->velocity
+                               + f * f * (1.0 + 2.0 * g) * position - f * f * g * dt * velocity;
+        const double bend = g * s->acceleration + f * acceleration, between = g * s->current + f * current;
+        p[0] = (${p}_vertex){.dt = f * dt, .x = turning, .a = bend, .current = between};
+    }
+    p[turns] = (${p}_vertex){turns ? g * dt : dt, position, velocity, acceleration, current, 0.0, 0.0};
+    s->position = position;
+    s->velocity = velocity;
+    s->acceleration = acceleration;
+    s->current = current;
+    s->moved = 1;
+    *share = f;
+    return 1 + turns;
 }
 $plain_function
 void ${p}_init(${p}_state *s)
@@ -92,25 +134,13 @@ $start}
 double ${p}_step(
     ${p}_state *s, double dt, double position, double velocity, double acceleration, double current$simulator_parameter)
 {
-    if (!s->moved) {
-        dt = 0.0;
+    ${p}_vertex p[2];
+    double share, force = 0.0;
+    const int count = vertices(s, dt, position, velocity, acceleration, current, p, &share);
+$find_excess    for (int i = 0; i < count; i++) {
+        lead(s, p + i, $added);
+        force = follow(s, p + i);
     }
-    /* Instant between both samples, from 0 to 1, at which the linear velocity is zero; rounding may put it on a sample. */
-    const double f = s->velocity * velocity < 0.0 ? s->velocity / (s->velocity - velocity) : 0.0, g = 1.0 - f;
-    const int turns = dt > 0.0 && f > 0.0 && f < 1.0;
-    /* The turning point follows from the cubic through both samples with their velocities. */
-    const double turning = g * g * (1.0 + 2.0 * f) * s->position + f * g * g * dt * s->velocity
-                           + f * f * (1.0 + 2.0 * g) * position - f * f * g * dt * velocity;
-    const double bend = g * s->acceleration + f * acceleration, between = g * s->current + f * current;
-$find_excess    if (turns) {
-        vertex(s, f * dt, turning, 0.0, bend, between$excess_between);
-    }
-    dt *= turns ? g : 1.0;
-    s->position = position;
-    s->velocity = velocity;
-    s->acceleration = acceleration;
-    s->current = current;
-    s->moved = 1;
-$keep_excess    return vertex(s, dt, position, velocity, acceleration, current$excess_now);
+$keep_excess    return force;
 }
-#endif
+$through#endif

@@ -1,4 +1,4 @@
-    if (turns) {
-        plain(s, f * dt, turning, 0.0, bend, between);
+    if (count > 1) {
+        plain(s, p);
     }
-    const double excess = simulator - plain(s, turns ? g * dt : dt, position, velocity, acceleration, current);
+    const double excess = simulator - plain(s, p + count - 1);

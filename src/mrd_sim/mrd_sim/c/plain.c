@@ -1,11 +1,13 @@
 
-/* The model without effects, with the parameters with which it reproduces the simulator. */
-static double plain(${p}_state *s, double dt, double x, double v, double a, double current)
+/* The model without effects, with the parameters with which it reproduces the simulator; returns its force. */
+static double plain(${p}_state *s, const ${p}_vertex *at)
 {
     static const double parameters[] = {$parameters};
-    double effective, q[COEFFICIENTS], force = 0.0;
-    $lag(1, parameters + $place, s->plain, &dt, &current, &effective);
-    $laws(1, parameters, codes, columns, floors, &effective, q);
-    $kernel(1, q, s->plain + 2, &dt, &x, &v, &a, &force);
-    return force;
+    ${p}_vertex p = *at;
+    double q[COEFFICIENTS];
+    p.force = 0.0;
+    $lag(1, parameters + $place, s->plain, &p.dt, &p.current, &p.effective);
+    $laws(1, parameters, codes, columns, floors, &p.effective, q);
+    $kernel(1, q, s->plain + 2, &p.dt, &p.x, &p.v, &p.a, &p.force);
+    return p.force;
 }

@@ -24,7 +24,12 @@ def add_simulator_arguments(parser: argparse.ArgumentParser) -> None:
         f"'{COMMAND}', or recordings of a simulator, one for each run",
     )
     parser.add_argument(
-        "--set", nargs="+", default=[], metavar="NAME=VALUE", help="other values of the simulator's parameters"
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME=VALUE",
+        help="other values of the simulator's parameters",
     )
     add_variable_arguments(parser)
 

@@ -19,6 +19,11 @@ class AdjustedSimulator(Simulator):
     notes : tuple of str
         What is to be known of the values.
 
+    Attributes
+    ----------
+    simulator, values
+        As given.
+
     Raises
     ------
     InputError
@@ -33,7 +38,7 @@ class AdjustedSimulator(Simulator):
                     f"simulator {simulator.name}: the parameter {name} is {value:g}, expected {stated.lower:g} to "
                     f"{stated.upper:g}"
                 )
-        self._simulator, self._values = simulator, dict(values)
+        self.simulator, self.values = simulator, dict(values)
         self.name = simulator.name
         pairs = [f"{name}={value!r}" for name, value in values.items()]
         self.source = " ".join([simulator.source, *(["--set", *map(shlex.quote, pairs)] if pairs else [])])
@@ -47,11 +52,11 @@ class AdjustedSimulator(Simulator):
 
     def force(self, signals: Signals, values: Mapping[str, float] | None = None) -> Array:
         """Return the force (n,) in N; see `Simulator.force`."""
-        return self._simulator.force(signals, {**self._values, **(values or {})})
+        return self.simulator.force(signals, {**self.values, **(values or {})})
 
     def close(self) -> None:
         """End what runs for the simulator."""
-        self._simulator.close()
+        self.simulator.close()
 
 
 def find_parameter(simulator: Simulator, name: str) -> SimulatorParameter:

@@ -85,6 +85,8 @@ class FmuRunner:
             "feedthrough": self.feedthrough,
             "inputs": [quantity for quantity, _, _ in self.variables.inputs],
             "mapping": dict(self.variables.mapping),
+            "wiring": [(*wired, start) for wired, start in zip(self.variables.inputs, self.variables.starts, strict=True)],
+            "output": (self.variables.output, self.variables.factor),
             "kept": list(self.variables.kept),
             "parameters": {
                 name: {"value": value, "lower": lower, "upper": upper, "unit": unit}
@@ -120,7 +122,9 @@ class FmuRunner:
         """Return a new instance that has been initialised with parameters and the first inputs."""
         self._said.clear()
         try:
-            fmu = self._fmpy.instantiate_fmu(str(self._folder), self.description, "CoSimulation", logger=self._log())
+            fmu = self._fmpy.instantiate_fmu(
+                str(self._folder), self.description, "CoSimulation", logger=self._log(), require_functions=False
+            )
             is_2 = self.description.fmiVersion == "2.0"
             set_values = fmu.setReal if is_2 else fmu.setFloat64
             references = [self.variables.parameters[name][0] for name in values]

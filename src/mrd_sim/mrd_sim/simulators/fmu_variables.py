@@ -33,6 +33,8 @@ class FmuVariables:
     ----------
     inputs : tuple of (str, int, float)
         Quantity of `SIGNALS`, value reference, and factor from SI to the variable's unit.
+    starts : tuple of float
+        Value of each of these inputs at the start, in the variable's unit.
     mapping : mapping
         Name of the variable of each quantity, the force among them.
     kept : tuple of str
@@ -46,6 +48,7 @@ class FmuVariables:
     """
 
     inputs: tuple[tuple[str, int, float], ...]
+    starts: tuple[float, ...]
     mapping: Mapping[str, str]
     kept: tuple[str, ...]
     output: int
@@ -87,6 +90,7 @@ def find_variables(description: Any, inputs: Mapping[str, str], output: str) -> 
     force = _chosen_output(outs, output)
     return FmuVariables(
         tuple((quantity, ins[name].valueReference, 1.0 / _factor(quantity, ins[name])) for quantity, name in chosen.items()),
+        tuple(float(ins[name].start or 0.0) for name in chosen.values()),
         {**chosen, "force": force.name},
         tuple(v.name for v in left),
         force.valueReference,

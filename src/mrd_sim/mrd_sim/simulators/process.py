@@ -48,6 +48,11 @@ class ProcessSimulator(Simulator):
     limit : float
         s that one answer may take.
 
+    Attributes
+    ----------
+    facts : mapping
+        What the process says of the simulator once it is loaded.
+
     Raises
     ------
     InputError
@@ -55,7 +60,7 @@ class ProcessSimulator(Simulator):
     """
 
     def __init__(self, kind: str, file: Path, options: Mapping[str, Any], limit: float = TIME_LIMIT) -> None:
-        self.name, self.source = file.name, shlex.quote(str(file))
+        self.name, self.source, self.file = file.name, shlex.quote(str(file)), file
         self.limit = limit
         folder = tempfile.mkdtemp(prefix="mrd_simulator_")
         told = json.dumps({**options, "folder": folder})
