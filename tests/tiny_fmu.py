@@ -11,6 +11,7 @@ SOURCE = r"""
 #include <signal.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 #include <unistd.h>
 typedef struct { double u[5], force, state; int steps, fixed; void *logger, *environment; } damper;
 typedef void (*message)(void *, const char *, int, const char *, const char *, ...);

@@ -18,10 +18,12 @@ from mrd_diagnosis.report.gap_file import to_json
 from mrd_diagnosis.report.page import page_content, write_gap_report
 from mrd_diagnosis.report.sentences import next_command
 from mrd_diagnosis.report.validation_page import write_validation
+from mrd_diagnosis.simulator.in_the_loop import SimulatorInLoop
 from mrd_diagnosis.simulator.refit import refit_parameters
+from mrd_diagnosis.simulator.stand_in import beside_model, simulated_forces
 from mrd_identification.export import export_damper, load_damper
 from mrd_identification.plot import write_plot
-from mrd_identification.recording import prepare_recording
+from mrd_identification.recording import consecutive_modelled_forces, prepare_recording
 from mrd_runs import Run, read_runs
 from mrd_runs.scales import scales_of
 from mrd_sim.cli.simulator_options import parse_values_set
@@ -82,7 +84,7 @@ def test_an_fmu_gets_the_verdict_of_the_model_in_it(of_model, of_fmu):
 
 def test_the_report_speaks_of_the_simulator(of_fmu, fmu):
     assert page_content(of_fmu)["title"].startswith("Simulator mine.fmu against 4 runs")
-    assert next_command(of_fmu, "gap").endswith("export gap/gap_report.json --output correction.fmu")
+    assert next_command(of_fmu, "gap").endswith("export gap/gap_report.json --output corrected.fmu")
     assert to_json(of_fmu)["simulator"]["source"] == str(fmu)
 
 
@@ -107,10 +109,50 @@ def test_the_correction_is_exported_and_validated(runs, fmu, of_fmu, tmp_path):
     export_damper(report, tmp_path / "correction.fmu")
     description = zipfile.ZipFile(tmp_path / "correction.fmu").read("modelDescription.xml").decode()
     assert 'name="simulator_force"' in description
+    with open_simulator(fmu) as simulator:
+        export_damper(report, tmp_path / "corrected.fmu", simulator=simulator)
+        with pytest.raises(InputError, match=r"--fmi is 3: an FMU around mine\.fmu is of its version, FMI 2\.0"):
+            export_damper(report, tmp_path / "three.fmu", simulator=simulator, fmi=3)
+        with pytest.raises(InputError, match="--simulator and --fmi belong to an FMU"):
+            export_damper(report, tmp_path / "corrected.c", simulator=simulator)
+        recordings = [prepare_recording(run) for run in runs]
+        plain = damper.model.alone.vector(damper.plain)
+        beside = beside_model(damper.model, plain, recordings, simulated_forces(simulator, recordings))
+        in_loop = SimulatorInLoop(simulator, damper.model, plain).corrected(damper.model, damper.theta, beside)
+    # The FMU is the corrected simulator of the diagnosis, in which the measured force enters into what the play does.
+    with open_simulator(tmp_path / "corrected.fmu") as corrected:
+        assert corrected.facts["inputs"] == ["position", "velocity", "acceleration", "current"]
+        for recording, force in zip(in_loop, consecutive_modelled_forces(damper.model, damper.theta, in_loop), strict=True):
+            assert np.std(corrected.force(signals_of(recording.smoothed)) - force) < 0.02 * np.std(force)
+        assert validate(corrected, runs).nrmse < 0.4 * alone.nrmse
     with pytest.raises(InputError, match=r"corrects the simulator mine\.fmu"):
         export_damper(report, tmp_path / "without.fmu", without_effects=True)
     with pytest.raises(InputError, match="the force of the simulator mine"):
         damper.force(runs[0].time, runs[0].position, runs[0].current)
+
+
+def test_the_tool_finds_the_fmu_of_a_report(of_fmu, fmu, tmp_path):
+    write_gap_report(of_fmu, tmp_path)
+    report = tmp_path / "gap_report.json"
+
+    def export(name, *options, of=report):
+        command = [sys.executable, "-m", "mrd_cli.cli.mrd", "export", str(of), "--output", str(tmp_path / name), *options]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    done = export("corrected.fmu")
+    assert "corrected.fmu: mine.fmu with joint_play" in done.stdout, done.stderr
+    assert "(FMI 2.0, with mine.fmu inside)" in done.stdout
+    assert "note: joint_play gives way under the force with which mine.fmu answers" in done.stdout
+    assert any("inner/modelDescription.xml" in name for name in zipfile.ZipFile(tmp_path / "corrected.fmu").namelist())
+    done = export("block.fmu", "--block", "--fmi", "3")
+    assert "(FMI 3.0, to be put behind mine.fmu)" in done.stdout, done.stderr
+    gone = tmp_path / "gone.json"
+    gone.write_text(report.read_text().replace(str(fmu), str(tmp_path / "mine.fmu")))
+    done = export("other.fmu", of=gone)
+    assert done.returncode == 2
+    assert "mine.fmu, which is no longer there; name it with --simulator" in done.stderr
+    done = export("other.fmu", "--simulator", str(fmu), of=gone)
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_plant_file_cannot_hold_a_simulator(of_fmu, tmp_path):

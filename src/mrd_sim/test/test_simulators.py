@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from python_fmu import FMUS, build_fmu
 
 from mrd_base import InputError
 from mrd_runs import Run
@@ -242,63 +243,11 @@ def test_recordings_of_another_motion_are_refused():
         simulator.force(signals(3000))
 
 
-FMI_2 = """
-from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
-import math
-
-class Damper2(Fmi2Slave):
-    def __init__(self, **kwargs):
-        super().__init__(**kwargs)
-        self.x, self.v, self.i, self.F, self.c = 0.0, 0.0, 0.0, 0.0, 900.0
-        for name in ("x", "v", "i"):
-            self.register_variable(Real(name, causality=Fmi2Causality.input, start=0.0))
-        self.register_variable(
-            Real("c", causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable, start=900.0)
-        )
-        self.register_variable(Real("F", causality=Fmi2Causality.output))
-
-    def do_step(self, time, step):
-        self.F = self.c * self.v + (20.0 + 300.0 * self.i) * math.tanh(self.v / 0.02)
-        return True
-"""
-
-FMI_3 = """
-from pythonfmu3 import Float64, Fmi3Causality, Fmi3Slave, Fmi3Variability
-import math
-
-class Damper3(Fmi3Slave):
-    def __init__(self, **kwargs):
-        super().__init__(**kwargs)
-        self.time, self.x, self.v, self.i, self.F, self.c = 0.0, 0.0, 0.0, 0.0, 0.0, 900.0
-        continuous, tunable = Fmi3Variability.continuous, Fmi3Variability.tunable
-        self.register_variable(Float64("time", causality=Fmi3Causality.independent, variability=continuous))
-        for name in ("x", "v", "i"):
-            self.register_variable(Float64(name, causality=Fmi3Causality.input, variability=continuous, start=0.0))
-        self.register_variable(Float64("c", causality=Fmi3Causality.parameter, variability=tunable, start=900.0))
-        self.register_variable(Float64("F", causality=Fmi3Causality.output, variability=continuous))
-
-    def do_step(self, time, step):
-        self.F = self.c * self.v + (20.0 + 300.0 * self.i) * math.tanh(self.v / 0.02)
-        return True
-"""
-
-
-def build_fmu(folder, text, exporter, name):
-    write(folder, text, f"{name.lower()}.py")
-    subprocess.run(
-        [sys.executable, "-m", exporter, "build", "-f", f"{name.lower()}.py"], cwd=folder, check=True, capture_output=True
-    )
-    return folder / f"{name}.fmu"
-
-
-@pytest.mark.parametrize(
-    ("text", "exporter", "name", "standard"),
-    [(FMI_2, "pythonfmu", "Damper2", "FMI 2.0"), (FMI_3, "pythonfmu3", "Damper3", "FMI 3.0")],
-)
-def test_fmus_of_another_exporter(tmp_path, text, exporter, name, standard):
+@pytest.mark.parametrize("name", FMUS)
+def test_fmus_of_another_exporter(tmp_path, name):
     given = signals()
-    with open_simulator(build_fmu(tmp_path, text, exporter, name)) as simulator:
-        assert simulator.facts["standard"] == standard
+    with open_simulator(build_fmu(tmp_path, name)) as simulator:
+        assert simulator.facts["standard"] == FMUS[name][2]
         assert simulator.facts["inputs"] == ["position", "velocity", "current"]
         # Its force follows the inputs after a step only, and is not late by one all the same.
         np.testing.assert_allclose(simulator.force(given), expected(given), atol=1e-9)

@@ -379,7 +379,8 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
         record = f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml\n"
     if diagnosis.stand_in:
         again = f"{record}{diagnose} NEW_RUN{held_out}{reference} --simulator {diagnosis.stand_in.source} --output DIR"
-        export = f"{command('mrd_identification', 'export')} {folder}/gap_report.json --output correction.fmu"
+        export = f"{command('mrd_identification', 'export')} {folder}/gap_report.json --output "
+        export += "corrected.fmu" if diagnosis.stand_in.name.lower().endswith(".fmu") else "correction.fmu"
         if (
             diagnosis.verdict == "ambiguous"
             and diagnosis.next_experiment is not None

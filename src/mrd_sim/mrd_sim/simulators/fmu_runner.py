@@ -62,7 +62,10 @@ class FmuRunner:
         self.variables = find_variables(self.description, options.get("inputs", {}), options.get("output", ""))
         self.divisions = int(options.get("divisions", 1))
         self._folder = Path(options["folder"])
-        fmpy.extract(str(file), str(self._folder))
+        try:
+            fmpy.extract(str(file), str(self._folder))
+        except Exception as error:
+            raise InputError(f"cannot be unpacked ({_one_line(error)})") from None
         self._said: list[str] = []
         self.feedthrough = self._follows_inputs()
 

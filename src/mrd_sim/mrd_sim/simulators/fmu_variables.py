@@ -157,7 +157,7 @@ def _by_unit(quantity: str, variables: Mapping[str, Any]) -> str:
 def _factor(quantity: str, variable: Any) -> float:
     """Return the factor from the unit of a variable to SI; 1 where it has none."""
     stated = variable.unit or (variable.declaredType.unit if variable.declaredType else None)
-    if not stated or stated == "1":
+    if not stated or stated in ("1", "-", "dimensionless"):
         return 1.0
     unit = find_unit(quantity, stated)
     if unit is None:
