@@ -32,7 +32,7 @@ def run(folder, command):
 
 
 def test_the_page_has_its_commands():
-    assert len(COMMANDS) == 9
+    assert len(COMMANDS) == 11
 
 
 NUMBER = r"(\d+(?:\.\d+)?)"

@@ -49,7 +49,7 @@ def refusal(file, tmp_path, monkeypatch, **options):
         ),
         (
             [('<Real start="0" unit="A"/>', "<Integer/>")],
-            "the input current is none of time, position, velocity, acceleration, current by its name, and has no start value",
+            "the input current is none of time, position, velocity, acceleration, current by its name, and has no start",
         ),
         ([("</ModelVariables>", "")], "is no FMU that can be read (mismatched tag"),
     ],
