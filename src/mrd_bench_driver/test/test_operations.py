@@ -397,6 +397,15 @@ def run_set_in_parts(
     return moments, peers.calls[calls_before:] if moments >= moment else []
 
 
+def test_a_supervisor_refuses_what_an_earlier_one_was_asked_for() -> None:
+    """One that was started again has moved nothing yet, and nobody may have told it of a stop."""
+    earlier, later = QuickClock(), QuickClock()
+    later.sleep(1.0)
+    asked = FakePeers(earlier).told_stops
+    with pytest.raises(RefusedError, match="somebody stopped the bench before this run"):
+        FakePeers(later).supervisor.check_set([EXPERIMENT], "", 3, asked)
+
+
 @pytest.mark.parametrize("way", STOPS)
 @pytest.mark.parametrize(("parts", "told"), [([["first", "second"]], False), ([["first"], ["second"]], True)])
 def test_no_run_of_a_set_begins_after_a_stop_at_any_moment(parts: list[list[str]], told: bool, way: str) -> None:

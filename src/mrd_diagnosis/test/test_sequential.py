@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from html import unescape
 from math import log
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,10 +17,11 @@ from mrd_diagnosis.experiment_design.information import expected_information
 from mrd_diagnosis.experiment_design.separation import Separation
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.sequential.first_set import FIRST_SET, first_set
-from mrd_diagnosis.sequential.recorded import folder_of_round, missing_plans, read_recorded
+from mrd_diagnosis.sequential.recorded import folder_of_round, read_recorded, set_aside_incomplete
 from mrd_diagnosis.sequential.report import write_sequential_report
 from mrd_diagnosis.sequential.sequential import diagnose_sequentially
-from mrd_runs import Run
+from mrd_runs import Run, read_run
+from mrd_runs.bag_import import write_bag
 from mrd_sim.simulate import Damper, measure_plans
 from mrd_trajectory.experiment import Experiment
 from mrd_trajectory.plan import Plan, plan
@@ -147,11 +149,32 @@ def test_a_budget_that_the_first_recordings_exceed_is_refused_before_anything_mo
     assert bench.asked == []
 
 
-def test_what_is_recorded_is_not_missing_and_what_cannot_be_read_is_named(tmp_path):
-    plans = first_set(BENCH)[:2]
-    assert missing_plans(plans, tmp_path) == list(plans)
-    name = plans[0].experiment.name
-    (tmp_path / name).mkdir()
-    assert missing_plans(plans, tmp_path) == [plans[1]]
-    with pytest.raises(InputError, match=name):
-        read_recorded(plans[:1], tmp_path)
+def record(planned: Plan, folder: Path, share: float = 1.0) -> None:
+    """Write the bag of an experiment, of which a share is recorded."""
+    (run,) = measure_plans([planned], Damper("bouc_wen", BOUC_WEN), np.random.default_rng(1))
+    count = int(share * len(run))
+    columns = {"time_s": run.time, "position_m": run.position, "current_A": run.current, "force_N": run.force}
+    kept = {name: values[:count] for name, values in columns.items()}
+    write_bag(kept, [], Path("run.csv"), folder / planned.experiment.name)
+
+
+def test_what_a_stop_has_cut_is_kept_aside_and_recorded_again_however_often(tmp_path):
+    whole, cut = first_set(BENCH)[:2]
+    record(whole, tmp_path)
+    for number in (1, 2):
+        record(cut, tmp_path, 0.3)
+        with pytest.raises(InputError, match=rf"{cut.experiment.name}: holds .* s, expected the"):
+            read_recorded([whole, cut], tmp_path)
+        aside = tmp_path / "incomplete" / f"{cut.experiment.name}_{number}"
+        assert set_aside_incomplete([whole, cut], tmp_path) == [aside]
+        assert read_run(aside).duration == pytest.approx(0.3 * cut.duration, abs=0.1)
+    record(cut, tmp_path)
+    assert set_aside_incomplete([whole, cut], tmp_path) == []
+    assert [run.name for run in read_recorded([whole, cut], tmp_path)] == [whole.experiment.name, cut.experiment.name]
+
+
+def test_what_cannot_be_read_is_kept_aside_and_what_is_not_there_is_not_missed(tmp_path):
+    empty, absent = first_set(BENCH)[:2]
+    (tmp_path / empty.experiment.name).mkdir()
+    assert set_aside_incomplete([empty, absent], tmp_path) == [tmp_path / "incomplete" / f"{empty.experiment.name}_1"]
+    assert not (tmp_path / empty.experiment.name).exists()

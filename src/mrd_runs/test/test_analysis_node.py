@@ -1,5 +1,7 @@
 """The base of the nodes that analyse runs, by an analysis that approaches the mean force of the runs."""
 
+import errno
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -31,6 +33,8 @@ class MeanForce(AnalysisNode):
 
     def work(self, request: Identify.Goal, publish: Callable[[Any], None], result: Identify.Result) -> None:
         result.report = "begun"
+        if request.model == "full":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), request.output or None)  # a write names no file
         if request.model == "broken":
             raise ZeroDivisionError("a mistake in the analysis")
         if request.model:
@@ -100,6 +104,8 @@ def test_bad_input_aborts_the_goal_with_its_line(client, recorded):
     for goal, message in (
         (Identify.Goal(runs=recorded, model="honey"), "unknown model honey"),
         (Identify.Goal(runs=["nowhere.csv"]), "nowhere.csv: no such file"),
+        (Identify.Goal(runs=recorded, model="full", output="a.json"), "a.json: No space left on device"),
+        (Identify.Goal(runs=recorded, model="full"), "files of the result: No space left on device"),
         (Identify.Goal(generations=1), "no samples were heard; start the DAQ or a replay, or name recorded runs"),
     ):
         ended = client.ended(client.send(goal))

@@ -263,7 +263,7 @@ REFUSALS = Topic(
     COMMAND,
     "`ACTION: reason` of every goal that is rejected",
     publishers=("supervisor", "identifier", "diagnoser"),
-    subscribers=("bench", "page"),
+    subscribers=("diagnoser", "bench", "page"),
 )
 DIAGNOSTICS = Topic(
     "/diagnostics",

@@ -17,7 +17,7 @@ from mrd_base.domain import claim_domain, present_domain
 from mrd_base.nodes.graph import NODES
 from mrd_base.progress import shown_progress
 from mrd_bench_driver.nodes.bench_client import BenchClient, require_free_namespace
-from mrd_bench_driver.nodes.bench_diagnosis import diagnose_on_bench, recorded_in
+from mrd_bench_driver.nodes.bench_diagnosis import diagnose_on_bench, recorded_in, tell_what_is_kept
 from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes, clock_of
 from mrd_interfaces.action import DiagnoseOnBench
 from mrd_runs import read_run, read_runs
@@ -273,7 +273,9 @@ def _work(arguments: argparse.Namespace) -> None:
                     client.stay_up(page=arguments.page)
                 result, recordings, ending = _run(client, session, arguments.seed)
     except (ProcessDiedError, KeyboardInterrupt) as error:
-        for bag in filter(Path.exists, recorded_in(session.output) if diagnosis else session.bags):
+        if diagnosis:
+            tell_what_is_kept(session.output)
+        for bag in filter(Path.exists, session.bags):
             print(f"recorded until then: {bag}", file=sys.stderr)
         if isinstance(error, KeyboardInterrupt):
             raise

@@ -110,8 +110,8 @@ class BenchClient:
     time : BenchClock
         Clock of bench time, once the nodes are up.
     stops : int
-        The number of stops that the supervisor has told latest, from 1, once it is up. A run that is asked for with an
-        earlier one is refused.
+        The count of stops that the supervisor has told latest, never 0 once it is up. A run that is asked for with an
+        earlier one, or with that of an earlier supervisor, is refused.
     """
 
     def __init__(

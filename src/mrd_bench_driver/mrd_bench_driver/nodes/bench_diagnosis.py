@@ -14,6 +14,13 @@ def recorded_in(folder: Path) -> list[Path]:
     return sorted(path.parent for path in folder.glob("round_*/*/metadata.yaml"))
 
 
+def tell_what_is_kept(folder: Path) -> None:
+    """Print what an interrupted diagnosis has recorded, and how to go on with it."""
+    for bag in recorded_in(folder):
+        print(f"recorded until then: {bag}", file=sys.stderr)
+    print(f"go on by the same command with --resume --output {folder}", file=sys.stderr)
+
+
 def diagnose_on_bench(client: BenchClient, goal: DiagnoseOnBench.Goal) -> None:
     """Run a diagnosis on the bench, and print its rounds and its answer.
 
@@ -31,10 +38,8 @@ def diagnose_on_bench(client: BenchClient, goal: DiagnoseOnBench.Goal) -> None:
 
         result = client.diagnose_on_bench(goal, progress)
     if not result.success:
-        for bag in recorded_in(Path(goal.folder)):
-            print(f"recorded until then: {bag}", file=sys.stderr)
-        reason = result.message or "the diagnoser failed; look at its log"
-        print(f"error: {reason}; go on by --resume --output {goal.folder}", file=sys.stderr)
+        tell_what_is_kept(Path(goal.folder))
+        print(f"error: {result.message or 'the diagnoser failed; look at its log'}", file=sys.stderr)
         sys.exit(1)
     rounds = "one round" if result.rounds == 1 else f"{result.rounds} rounds"
     print(f"after {rounds}, {result.duration:.0f} s of bench time: {result.message}")

@@ -75,6 +75,8 @@ class Supervisor:
         self._send_emergency_stop, self._on_mode = send_emergency_stop, on_mode
         self._runs = Path(config.runs).expanduser()
         self._lock = threading.Lock()
+        # Bench time in whole s, so that whoever has asked an earlier supervisor for runs counts as stopped with this one.
+        self._first_count = 1 + int(clock.now())
         self._emergency_stops = 0  # so many have come
         self._stopped = -math.inf  # bench time at which the nodes were last told to stop
         self._halts, self._halt_time = 0, clock.now()  # stops by services of the servo, and bench time of the latest
@@ -93,8 +95,8 @@ class Supervisor:
 
     @property
     def stop_count(self) -> int:
-        """1, and one more with every stop, whoever asked for it and by whatever way."""
-        return 1 + self.stops + self._emergency_stops + self._halts
+        """One more with every stop, by whatever way it comes, from a number that no earlier supervisor had."""
+        return self._first_count + self.stops + self._emergency_stops + self._halts
 
     def stopped_since(self, count: int) -> bool:
         """Whether the bench was stopped since `stop_count` had a value; never since 0, which stands for no value."""

@@ -181,7 +181,7 @@ class RosCommands:
             raise InputError(await self._reason(DIAGNOSE_ON_BENCH.name))
         self._diagnosis = handle
         awaited = await self._in_executor(handle.get_result_async)
-        result = (await self._while_there(client, awaited)).result
+        result = (await self._while_there(client, awaited, "diagnosis")).result
         return BenchDiagnosisOutcome(result.success, result.message or "the diagnoser failed; look at its log", result.why)
 
     def cancel_diagnosis(self) -> None:
@@ -209,10 +209,12 @@ class RosCommands:
         self._node.executor.create_task(call)
         return await asyncio.wrap_future(done)
 
-    async def _while_there(self, client: Any, future: Any) -> Any:
-        """Wait for the result of a run as long as there is the supervisor that could send it: another one could not."""
+    async def _while_there(self, client: Any, future: Any, what: str = "run") -> Any:
+        """Wait for the result of a run, or of a diagnosis that records runs, as long as there are the supervisor that runs
+        them, which another one could not go on with, and the node that could send the result.
+        """
         supervisor = self._view.lease_holder
-        result = asyncio.ensure_future(_answer(future, None, "the run"))
+        result = asyncio.ensure_future(_answer(future, None, f"the {what}"))
         missing = 0.0
         while missing < _GONE_AFTER:
             done, _ = await asyncio.wait({result}, timeout=_LOOK_PERIOD)
@@ -223,7 +225,8 @@ class RosCommands:
             there = client.server_is_ready() and latest == supervisor
             missing = 0.0 if there else missing + _LOOK_PERIOD
         result.cancel()
-        raise InputError("the supervisor has gone in the run; look at its log, start the bench again, and try again")
+        gone = "diagnoser" if what == "diagnosis" and latest == supervisor else "supervisor"
+        raise InputError(f"the {gone} has gone in the {what}; look at its log, start the bench again, and try again")
 
     async def _reason(self, action: str) -> str:
         prefix = f"{action}: "

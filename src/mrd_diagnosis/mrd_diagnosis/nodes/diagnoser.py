@@ -3,8 +3,8 @@
 """
 
 import os
-import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
@@ -12,18 +12,17 @@ from rclpy.executors import SingleThreadedExecutor
 from mrd_base import InputError
 from mrd_base.json_file import make_folder
 from mrd_base.nodes.bench_node import run_node
-from mrd_base.nodes.graph import BENCH_STATE, DIAGNOSE, DIAGNOSE_ON_BENCH, RUN_SET
+from mrd_base.nodes.graph import DIAGNOSE, DIAGNOSE_ON_BENCH
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
-from mrd_diagnosis.nodes.recording_client import run_on_bench
+from mrd_diagnosis.nodes.recording_client import RecordingClient
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.report.sentences import next_command
-from mrd_diagnosis.sequential.recorded import folder_of_round, missing_plans, read_recorded
+from mrd_diagnosis.sequential.recorded import folder_of_round, read_recorded, set_aside_incomplete
 from mrd_diagnosis.sequential.report import command_after, write_sequential_report
 from mrd_diagnosis.sequential.sequential import BUDGET, Round, diagnose_sequentially
 from mrd_identification.fit_file import read_fit
 from mrd_identification.low_pass import with_force_filters
 from mrd_interfaces.action import Diagnose, DiagnoseOnBench
-from mrd_interfaces.msg import BenchState
 from mrd_runs import Run, read_runs
 from mrd_runs.nodes.analysis_node import AnalysisNode, Offer
 from mrd_sim.current import parse_laws
@@ -31,9 +30,6 @@ from mrd_sim.models import find_model
 from mrd_sim.own import own_catalogue
 from mrd_trajectory.plan import Plan
 from mrd_trajectory.settings import read_settings
-
-# Wall time in s for the state of the bench, which comes as soon as ROS has connected the two nodes.
-HEARD_TIMEOUT = 20.0
 
 
 class Diagnoser(AnalysisNode):
@@ -45,14 +41,7 @@ class Diagnoser(AnalysisNode):
             Offer(DIAGNOSE, self.check, self.work),
             Offer(DIAGNOSE_ON_BENCH, self.check_on_bench, self.work_on_bench),
         )
-        self._run_set = RUN_SET.client(self)
-        self._stops = 0  # counted by the supervisor, from 1
-        self._heard = threading.Event()
-        BENCH_STATE.subscription(self, self._on_bench_state)
-
-    def _on_bench_state(self, state: BenchState) -> None:
-        self._stops = state.stops
-        self._heard.set()
+        self._bench = RecordingClient(self)
 
     def check(self, request: Diagnose.Goal) -> None:
         """Refuse a model or current laws that there are not."""
@@ -68,10 +57,8 @@ class Diagnoser(AnalysisNode):
     def work_on_bench(
         self, request: DiagnoseOnBench.Goal, publish: Callable[[Any], None], result: DiagnoseOnBench.Result
     ) -> None:
-        """Record and diagnose in turn, and write the reports of every round. After a stop, nothing more is recorded."""
-        if not (self._heard.wait(HEARD_TIMEOUT) and self._run_set.wait_for_server(HEARD_TIMEOUT)):
-            raise InputError(f"no supervisor was heard within {HEARD_TIMEOUT:g} s; start the bench, or look at its log")
-        stops = self._stops
+        """Record and diagnose in turn, and write the reports of every round. A stop of the bench ends it."""
+        stops = self._bench.require_idle()
         folder = make_folder(request.folder).resolve()
         bench = read_settings(request.bench or os.environ.get("MRD_BENCH"))
         parameters = read_fit(request.parameters) if request.parameters else None
@@ -80,18 +67,23 @@ class Diagnoser(AnalysisNode):
         reached: dict[int, float] = {}
 
         def progress(number: int, stage: str, fraction: float, moves: bool = False) -> None:
+            if not moves:  # the end of a recording tells itself by what it was stopped
+                self._bench.require_no_stop_since(stops)
             added = rounds[-1].added if rounds else ""
             reached[number] = fraction = max(fraction, reached.get(number, 0.0))  # the first round records twice
             publish(DiagnoseOnBench.Feedback(round=number, stage=stage, moves=moves, fraction=fraction, added=added))
 
         def record(number: int, plans: Sequence[Plan]) -> list[Run]:
-            def recording(stage: str, fraction: float) -> None:
-                progress(number, stage, 0.5 * fraction, moves=True)
+            def recording(place: int, stage: str, fraction: float) -> None:
+                progress(number, stage, 0.5 * (place + fraction) / len(plans), moves=True)
 
-            missing = missing_plans(plans, folder_of_round(folder, number))
-            if missing:
-                run_on_bench(self._run_set, missing, folder_of_round(folder, number), request.seed, stops, recording)
-            return read_recorded(plans, folder_of_round(folder, number))
+            of_round = folder_of_round(folder, number)
+            for bag in set_aside_incomplete(plans, of_round):
+                self.get_logger().warning(f"{bag}: does not hold its whole experiment, which is recorded again")
+            for place, planned in enumerate(plans):
+                if not (of_round / planned.experiment.name).exists():
+                    self._bench.record(planned, of_round, request.seed, stops, partial(recording, place))
+            return read_recorded(plans, of_round)
 
         def on_round(of_round: Round) -> None:
             rounds.append(of_round)

@@ -1,86 +1,165 @@
-"""Recordings that a diagnosis asks the bench for: a set of experiments, run by the supervisor."""
+"""Recordings that a diagnosis asks the bench for: single experiments, run by the supervisor."""
 
+import concurrent.futures
 import threading
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rclpy.action import ActionClient
 from rclpy.task import Future
 
 from mrd_base import InputError
-from mrd_base.nodes.graph import RUN_SET
+from mrd_base.nodes.graph import BENCH_STATE, REFUSALS, RUN_SET
 from mrd_interfaces.action import RunSet
+from mrd_interfaces.msg import BenchState
+from mrd_runs.nodes.analysis_node import AnalysisNode
 from mrd_trajectory.experiment import format_experiment
 from mrd_trajectory.plan import Plan
 
-# Wall time in s for the supervisor to accept a set, and for a cancelled one to end, its bag closed.
-ACCEPT_TIMEOUT, CANCEL_TIMEOUT = 30.0, 90.0
+# Wall time in s for the state of the bench, which comes as soon as ROS has connected the two nodes.
+HEARD_TIMEOUT = 20.0
+# Wall time in s for the supervisor to accept a recording, and for one that was cancelled or stopped to end, its bag closed.
+ACCEPT_TIMEOUT, END_TIMEOUT = 30.0, 90.0
+# Wall time in s for the reason of a refusal, which comes on a topic of its own.
+REASON_TIMEOUT = 2.0
 # Wall time in s between two looks whether the diagnosis was cancelled.
 LOOK = 0.2
 
 
-def run_on_bench(
-    client: ActionClient, plans: Sequence[Plan], folder: Path, seed: int, stops: int, progress: Callable[[str, float], None]
-) -> None:
-    """Let the supervisor record experiments into a folder, one bag each.
+class RecordingClient:
+    """Lets the supervisor record experiments for a node that diagnoses.
 
-    It must be called in another thread than that of the client's executor.
-
-    Parameters
-    ----------
-    client : ActionClient
-        Of the action ``run_set``.
-    plans : sequence of Plan
-    folder : Path
-    seed : int
-        Seed of everything random in the runs.
-    stops : int
-        The stops that the supervisor had counted when the recordings were asked for; after a further one it refuses them.
-    progress : callable
-        Called several times a second with the step and the fraction that is done. An exception that it raises cancels the
-        set; its end is awaited before the exception is raised on.
-
-    Raises
-    ------
-    InputError
-        Where the set is refused, ends early, or nobody answers, with the reason.
+    Its methods wait, so that they must be called in another thread than that of the node's executor.
     """
-    total = sum(planned.duration for planned in plans)
-    done = {planned.experiment.name: sum(p.duration for p in plans[:place]) for place, planned in enumerate(plans)}
-    latest = ("waiting for the bench", 0.0)
 
-    def on_feedback(message: Any) -> None:
-        nonlocal latest
-        feedback = message.feedback
-        elapsed = done.get(feedback.experiment, 0.0) + feedback.elapsed
-        latest = (f"recording {feedback.experiment}: {feedback.phase}", min(1.0, elapsed / total))
+    def __init__(self, node: AnalysisNode) -> None:
+        self._node = node
+        self._run_set = RUN_SET.client(node)
+        self._state = BenchState()
+        self._heard = threading.Event()
+        self._refusals: list[str] = []
+        BENCH_STATE.subscription(node, self._on_state)
+        REFUSALS.subscription(node, lambda refusal: self._refusals.append(refusal.data))
 
-    goal = RunSet.Goal(
-        experiments=[format_experiment(planned.experiment) for planned in plans], folder=str(folder), seed=seed, stops=stops
-    )
-    accepted = client.send_goal_async(goal, feedback_callback=on_feedback)
-    if not _done(accepted, ACCEPT_TIMEOUT):
-        raise InputError(f"the supervisor did not accept the recordings within {ACCEPT_TIMEOUT:g} s; look at its log")
-    handle = accepted.result()
-    if not handle.accepted:
-        raise InputError(f"the supervisor refused the recordings; it says why on the topic refusals ({RUN_SET.name})")
-    ended = handle.get_result_async()
-    try:
-        while not _done(ended, LOOK):
-            if not client.server_is_ready():
-                raise InputError("the supervisor is gone; what was recorded until then is kept")
-            progress(*latest)
-    except BaseException:
-        handle.cancel_goal_async()
-        _done(ended, CANCEL_TIMEOUT)
-        raise
-    result = ended.result().result
-    if not result.success:
-        raise InputError(f"the recordings ended early: {result.message}")
+    def _on_state(self, state: BenchState) -> None:
+        self._state = state
+        self._heard.set()
+
+    def require_idle(self) -> int:
+        """Wait for the supervisor; return the stops that it has counted.
+
+        Raises
+        ------
+        InputError
+            Where no supervisor is heard, or the bench does something else or has a fault.
+        """
+        if not (self._heard.wait(HEARD_TIMEOUT) and self._run_set.wait_for_server(HEARD_TIMEOUT)):
+            raise InputError(f"no supervisor was heard within {HEARD_TIMEOUT:g} s; start the bench, or look at its log")
+        state = self._state
+        if state.mode == BenchState.FAULT:
+            raise InputError(f"the bench is in mode fault ({state.message}); look why, then call reset_fault")
+        if state.mode != BenchState.IDLE:
+            raise InputError(f"the bench is busy ({state.message}); wait for the end of the run, or call stop")
+        return int(state.stops)
+
+    def require_no_stop_since(self, stops: int) -> None:
+        """Raise `InputError` where the bench was stopped, or got another supervisor, since it had counted so many stops."""
+        if self._state.stops != stops:
+            raise InputError(f"the bench was stopped: {self._state.message}")
+
+    def record(self, planned: Plan, folder: Path, seed: int, stops: int, progress: Callable[[str, float], None]) -> None:
+        """Record one experiment into a folder, in which its bag has the name of the experiment.
+
+        Each has a goal of its own, so that nothing more is recorded than the present one where this process is killed.
+
+        Parameters
+        ----------
+        seed : int
+            Seed of everything random in the run.
+        stops : int
+            As of `require_idle`; after a further stop the supervisor refuses the recording.
+        progress : callable
+            Called several times a second with the step and the fraction that is done. An exception that it raises cancels
+            the recording; its end is awaited before the exception is raised on.
+
+        Raises
+        ------
+        InputError
+            Where the recording is refused, ends early, or nobody answers, with the reason.
+        """
+        name = planned.experiment.name
+        latest = ("waiting for the bench", 0.0)
+
+        def on_feedback(message: Any) -> None:
+            nonlocal latest
+            latest = (message.feedback.phase, min(1.0, message.feedback.elapsed / planned.duration))
+
+        goal = RunSet.Goal(experiments=[format_experiment(planned.experiment)], folder=str(folder), seed=seed, stops=stops)
+        self._refusals.clear()
+        accepted = self._in_executor(lambda: self._run_set.send_goal_async(goal, feedback_callback=on_feedback))
+        if not _is_done(accepted, ACCEPT_TIMEOUT):
+            raise InputError(f"the supervisor did not accept {name} within {ACCEPT_TIMEOUT:g} s; look at its log")
+        handle = accepted.result()
+        if not handle.accepted:
+            raise InputError(f"the supervisor refused {name}: {self._reason()}")
+        ended = self._in_executor(handle.get_result_async)
+        try:
+            self._follow(ended, stops, lambda: progress(f"recording {name}: {latest[0]}", latest[1]))
+        except SupervisorGoneError:
+            raise
+        except BaseException:
+            handle.cancel_goal_async()
+            self._await_end(ended)
+            raise
+        result = ended.result().result
+        if not result.success:
+            raise InputError(f"the recording ended early: {result.message}")
+
+    def _follow(self, ended: Future, stops: int, progress: Callable[[], None]) -> None:
+        """Wait for the end of a recording as long as there is the supervisor that could tell it."""
+        while not _is_done(ended, LOOK):
+            # A supervisor that was stopped tells so. One that was killed does not, even where another one has come.
+            stopped = self._state.stops != stops and not self._await_end(ended)
+            if stopped or not self._run_set.server_is_ready():
+                raise SupervisorGoneError("the supervisor is gone; what was recorded until then is kept; look at its log")
+            progress()
+
+    def _await_end(self, ended: Future) -> bool:
+        """Wait until a recording has ended, or nobody can tell any more; return whether it has."""
+        deadline = time.monotonic() + END_TIMEOUT
+        while not _is_done(ended, LOOK):
+            gone = self._node.stopping.is_set() or not self._run_set.server_is_ready()
+            if gone or time.monotonic() > deadline:
+                return False
+        return True
+
+    def _in_executor(self, send: Callable[[], Future]) -> Future:
+        """Send a request in the thread of the executor: in another one, its answer may come before rclpy expects it."""
+        sent: concurrent.futures.Future[Future] = concurrent.futures.Future()
+        executor = self._node.executor
+        assert executor is not None
+        executor.create_task(lambda: sent.set_result(send()))
+        try:
+            return sent.result(ACCEPT_TIMEOUT)
+        except TimeoutError:
+            raise InputError("the diagnoser ends") from None
+
+    def _reason(self) -> str:
+        """Return why the latest goal was refused."""
+        prefix, deadline = f"{RUN_SET.name}: ", time.monotonic() + REASON_TIMEOUT
+        while time.monotonic() < deadline:
+            if reasons := [text.removeprefix(prefix) for text in self._refusals if text.startswith(prefix)]:
+                return reasons[-1]
+            time.sleep(0.05)
+        return "its log tells why"
 
 
-def _done(future: Future, timeout: float) -> bool:
+class SupervisorGoneError(InputError):
+    """Raised where nobody can tell any more how a recording ended."""
+
+
+def _is_done(future: Future, timeout: float) -> bool:
     """Wait until a future is done, for at most so many s; return whether it is."""
     event = threading.Event()
     future.add_done_callback(lambda _: event.set())

@@ -1,8 +1,10 @@
 """Recordings of the rounds of a sequential diagnosis in a folder, so that an interrupted one goes on."""
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
+from mrd_base import InputError
 from mrd_runs import Run, read_run
 from mrd_runs.read import require_whole
 from mrd_trajectory.plan import Plan
@@ -13,9 +15,42 @@ def folder_of_round(folder: Path, number: int) -> Path:
     return folder / f"round_{number}"
 
 
-def missing_plans(plans: Sequence[Plan], folder: Path) -> list[Plan]:
-    """Return the experiments that are not recorded yet in the folder of a round."""
-    return [planned for planned in plans if not (folder / planned.experiment.name).exists()]
+def set_aside_incomplete(plans: Sequence[Plan], folder: Path) -> list[Path]:
+    """Move recordings that do not hold their whole experiment, or cannot be read, into ``incomplete`` in their folder.
+
+    Such a recording is left by a stop or by a recorder that was killed. Its name is then free, so that the experiment is
+    recorded again.
+
+    Parameters
+    ----------
+    plans : sequence of Plan
+        Experiments of a round, none of which is being recorded.
+    folder : Path
+        Folder of the round.
+
+    Returns
+    -------
+    list of Path
+        Where they are now.
+    """
+    moved = []
+    for planned in plans:
+        bag = folder / planned.experiment.name
+        if not bag.exists() or _is_whole(bag, planned.duration):
+            continue
+        (folder / "incomplete").mkdir(exist_ok=True)
+        places = (folder / "incomplete" / f"{bag.name}_{number}" for number in itertools.count(1))
+        place = next(place for place in places if not place.exists())
+        moved.append(bag.rename(place))
+    return moved
+
+
+def _is_whole(bag: Path, duration: float) -> bool:
+    try:
+        require_whole(read_run(bag), bag, duration)
+    except InputError:
+        return False
+    return True
 
 
 def read_recorded(plans: Sequence[Plan], folder: Path) -> list[Run]:
@@ -24,8 +59,7 @@ def read_recorded(plans: Sequence[Plan], folder: Path) -> list[Run]:
     Raises
     ------
     InputError
-        For a recording that cannot be read, or that does not hold its whole experiment: it is not recorded again, because
-        nothing recorded is overwritten.
+        For a recording that cannot be read, or that does not hold its whole experiment.
     """
     runs = [read_run(folder / planned.experiment.name) for planned in plans]
     for planned, run in zip(plans, runs, strict=True):

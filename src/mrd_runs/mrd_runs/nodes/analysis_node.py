@@ -63,13 +63,18 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
     name : str
         Default name of the node.
     *offers : Offer
+
+    Attributes
+    ----------
+    stopping : threading.Event
+        Set when the node ends.
     """
 
     def __init__(self, name: str, *offers: Offer) -> None:
         super().__init__(name, AnalysisSettings)
         self._buffer = SampleBuffer(self.config.max_blocks)
         self._busy = False
-        self._stopping = threading.Event()
+        self.stopping = threading.Event()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix=name)
         SAMPLES.subscription(self, self._buffer.append, raw=True)
         self._servers = [
@@ -84,15 +89,15 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
 
     async def _execute(self, offer: Offer, goal: Any) -> Any:
         def publish(feedback: Any) -> None:
-            if goal.is_cancel_requested or self._stopping.is_set():
+            if goal.is_cancel_requested or self.stopping.is_set():
                 raise CancelledError
             goal.publish_feedback(feedback)
 
         result = offer.action.type.Result()
         try:
             await self._in_worker(lambda: offer.work(goal.request, publish, result))
-        except InputError as error:
-            result = offer.action.type.Result(message=str(error))
+        except (InputError, OSError) as error:
+            result = offer.action.type.Result(message=_in_one_line(error))
             goal.abort()
         except CancelledError:
             result = offer.action.type.Result(message="cancelled")
@@ -159,5 +164,12 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
 
     def close(self) -> None:
         """Cancel the running analysis and wait for its end."""
-        self._stopping.set()
+        self.stopping.set()
         self._worker.shutdown(wait=True, cancel_futures=True)
+
+
+def _in_one_line(error: InputError | OSError) -> str:
+    """Return what went wrong. An `OSError` is most often a disk that is full in the midst of a report."""
+    return (
+        f"{error.filename or 'files of the result'}: {error.strerror or error}" if isinstance(error, OSError) else str(error)
+    )
