@@ -107,6 +107,40 @@ def test_a_moving_rod_may_go_on_through_silence():
     assert rod.predict(0.06) == pytest.approx(0.006)
 
 
+@given(st.floats(0.02, 0.2), st.floats(2.0, 10.0), st.floats(0.0, 0.012), st.floats(0.01, 0.02))
+def test_a_rod_that_is_stopped_as_it_accelerates_brakes_without_a_jump(speed, acceleration, late, tick):
+    """Its replies, which come later, still tell a slow rod."""
+    rod = RodEstimator()
+    rod.reset(0.0, 0.0)
+    ramp = speed / acceleration
+    stop = MotionCommand(ramp, 0.0, 0.0, acceleration, speed)  # what the motor does by itself
+
+    def position(time):
+        start = MotionCommand(0.0, 1.0, speed, acceleration)
+        return start.travel(0.0, min(time, ramp)) + (stop.travel(ramp, time) if time > ramp else 0.0)
+
+    now = 0.0
+    while now < ramp:
+        rod.set_command(MotionCommand(now, 1.0, acceleration * min(now + tick, ramp), acceleration, acceleration * now))
+        now += tick
+        if now + late < ramp:
+            assert rod.update(now, position(now))
+    rod.set_command(None)
+    for k in range(30):
+        time = ramp + late + tick * k
+        assert rod.update(time, position(time))
+
+
+def test_a_rod_that_was_stopped_does_not_jump_later():
+    rod = RodEstimator()
+    rod.reset(0.0, 0.0)
+    rod.set_command(MotionCommand(0.0, 0.02, 0.1, 10.0))
+    rod.set_command(None)
+    assert rod.update(0.1, 0.002)
+    assert rod.update(0.2, 0.002)
+    assert not rod.update(0.3, 0.004)
+
+
 def test_a_register_that_changed_is_noticed_noise_is_not():
     rod = RodEstimator()
     rod.reset(0.0, 0.0)

@@ -22,7 +22,8 @@ class RodEstimator:
     """Estimate position and velocity of the rod, and reject positions that it cannot have reached.
 
     A rod that was not commanded to move cannot have moved. The bound is therefore the speed commanded or measured, not the
-    greatest possible speed.
+    greatest possible speed. The command before a stop counts for some time: the rod brakes from a speed that the replies,
+    which come later, do not tell yet where it has just accelerated.
 
     Attributes
     ----------
@@ -34,6 +35,7 @@ class RodEstimator:
         self._recent: deque[tuple[float, float]] = deque(maxlen=3)
         self._prediction_start = (0.0, 0.0)
         self._command: MotionCommand | None = None
+        self._stopped: tuple[MotionCommand, float] | None = None  # the last one before a stop, and the time of that
         self._jumps = 0
         self._rejected = (0.0, 0.0)
         self.time = float("-inf")
@@ -43,7 +45,7 @@ class RodEstimator:
     def reset(self, time: float, position: float) -> None:
         """Set the position in m, after a first reply or with a new origin."""
         self._recent.clear()
-        self._command, self._jumps, self.velocity = None, 0, 0.0
+        self._command, self._stopped, self._jumps, self.velocity = None, None, 0, 0.0
         self._accept(time, position)
 
     def update(self, time: float, position: float) -> bool:
@@ -76,6 +78,8 @@ class RodEstimator:
         """Note the motion command that was sent, or None if the motion was stopped."""
         if command is not None:
             self._prediction_start = (command.time, self.predict(command.time))
+        elif self._command is not None:
+            self._stopped = self._command, self.time
         self._command = command
 
     @property
@@ -85,8 +89,11 @@ class RodEstimator:
 
     def _reachable(self, start_time: float, start: float, time: float, position: float) -> bool:
         speed = abs(self.velocity)
-        if self._command is not None:
-            speed = max(speed, abs(self._command.velocity), abs(self._command.initial_velocity))
+        command = self._command
+        if command is None and self._stopped is not None and time - self._stopped[1] <= _MAX_GAP:
+            command = self._stopped[0]
+        if command is not None:
+            speed = max(speed, abs(command.velocity), abs(command.initial_velocity))
         return abs(position - start) <= _MAX_SPEED_RATIO * speed * min(_MAX_GAP, max(0.0, time - start_time)) + _SLACK
 
     def _accept(self, time: float, position: float) -> None:
