@@ -43,8 +43,6 @@ class WholeBench:
         Time in s between two setpoints of a hybrid test, for which the bench then has a controller.
     diagnoser : bool
         Whether the bench has a diagnoser.
-    plant : Path
-        Parameter file of the simulated plant.
     environment : str
         Environment variables of the nodes.
     """
@@ -56,11 +54,10 @@ class WholeBench:
         *,
         control_cycle: float | None = None,
         diagnoser: bool = False,
-        plant: Path = PLANT,
         **environment: str,
     ) -> None:
         self._folder = folder
-        specs = bench_processes(BENCH, plant, folder / "motor", seed=1, control_cycle=control_cycle, diagnoser=diagnoser)
+        specs = bench_processes(BENCH, PLANT, folder / "motor", seed=1, control_cycle=control_cycle, diagnoser=diagnoser)
         # The procedure asks a killed node to stop, too. Its silence ends the wait sooner than by default.
         given = {"supervisor": {"answer_timeout_s": 2.5, "close_timeout_s": 15.0}, **(parameters or {})}
         specs = [

@@ -26,21 +26,25 @@ class BenchDiagnosisRequest:
         Folder of recordings and reports.
     bench : str
         Parameter file of the bench, or "".
+    runs : tuple of str
+        Recordings that were made by hand, which are diagnosed as well.
     """
 
     model: str
     budget: float
     folder: Path
     bench: str
+    runs: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class BenchDiagnosisOutcome:
-    """How it ended: whether it came to an end, the verdict or why there is none, and why it ended there."""
+    """How it ended: whether it came to an end, the verdict or why there is none, why it ended there, as words and id."""
 
     success: bool
     message: str
     why: str = ""
+    ending: str = ""
 
 
 @dataclass
@@ -59,7 +63,10 @@ class BenchDiagnosis:
         What each round has added, the first round first.
     sentence : str
         How it ended.
-    folder : Path or None
+    request : BenchDiagnosisRequest or None
+        What was asked for.
+    can_go_on : bool
+        Whether it was interrupted, or needs a measurement by hand.
     """
 
     running: bool = False
@@ -68,12 +75,18 @@ class BenchDiagnosis:
     share: float = 0.0
     added: list[str] = field(default_factory=list)
     sentence: str = ""
-    folder: Path | None = None
+    request: BenchDiagnosisRequest | None = None
+    can_go_on: bool = False
 
-    def begin(self, folder: Path) -> None:
-        """Begin a new one."""
+    @property
+    def folder(self) -> Path | None:
+        """Folder of its recordings and reports."""
+        return self.request.folder if self.request else None
+
+    def begin(self, request: BenchDiagnosisRequest) -> None:
+        """Begin a new one, or go on with the latest."""
         self.running, self.round, self.stage, self.share = True, 1, "waiting for the bench", 0.0
-        self.added, self.sentence, self.folder = [], "", folder
+        self.added, self.sentence, self.request, self.can_go_on = [], "", request, False
 
     def progress(self, number: int, stage: str, share: float, added: str) -> None:
         """Note how far it is; ``added`` is what the round before this one has added."""
@@ -85,6 +98,7 @@ class BenchDiagnosis:
         """Note how it ended."""
         self.running, self.stage = False, ""
         self.sentence = " ".join(filter(None, (outcome.message, outcome.why)))
+        self.can_go_on = not outcome.success or outcome.ending == "nothing_separates"
 
     def page(self, name: str) -> Path:
         """Return the file of one of its pages.

@@ -241,17 +241,34 @@ class Dashboard:
         InputError
             While a run of the queue, or another such diagnosis, is under way.
         """
+        folder = self.recordings.folder / f"diagnosis-{time.strftime('%Y%m%d-%H%M%S')}"
+        return self._begin_diagnosis(BenchDiagnosisRequest(model, budget, folder, self.bench_file))
+
+    def go_on_diagnosing(self, recordings: Sequence[str]) -> str:
+        """Go on with the latest diagnosis on the bench, with the recordings of a measurement by hand; return one line.
+
+        Raises
+        ------
+        InputError
+            Where there is nothing to go on with, and as `diagnose_on_bench`.
+        """
+        latest = self.bench_diagnosis.request
+        if latest is None or not (self.bench_diagnosis.can_go_on or self.bench_diagnosis.running):
+            raise InputError("no diagnosis on the bench was interrupted or needs a measurement; begin a new one")
+        runs = [str(self.recordings.find(name).path) for name in recordings]
+        # Those of before are replaced: one that could not be used must not be in the way for ever.
+        return self._begin_diagnosis(dataclasses.replace(latest, runs=tuple(runs)))
+
+    def _begin_diagnosis(self, request: BenchDiagnosisRequest) -> str:
         if self.bench_diagnosis.running:
             raise InputError("the bench diagnoses already; wait for the end, or cancel it")
         if self.queue.running is not None:
             raise InputError(f"run {self.queue.running.number} is under way; wait for its end")
         if self.bench.mode is Mode.FAULT:
             raise InputError("the bench is in mode fault; reset the fault first")
-        folder = self.recordings.folder / f"diagnosis-{time.strftime('%Y%m%d-%H%M%S')}"
-        self.bench_diagnosis.begin(folder)
-        request = BenchDiagnosisRequest(model, budget, folder, self.bench_file)
+        self.bench_diagnosis.begin(request)
         _beside(self, self._diagnose(request))
-        return f"the bench records and diagnoses; its files are in {folder}"
+        return f"the bench records and diagnoses; its files are in {request.folder}"
 
     async def _diagnose(self, request: BenchDiagnosisRequest) -> None:
         """Diagnose on the bench. The queue goes on afterwards, unless it waited before or somebody has stopped the bench."""

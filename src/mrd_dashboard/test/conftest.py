@@ -38,6 +38,7 @@ class NotedCommands:
         self.stops: list[int] = []
         self.refusal = ""
         self.go_on = asyncio.Event()  # until then, a diagnosis on the bench records
+        self.ending = "cause_known"
 
     def emergency_stop(self) -> None:
         self.asked.append("emergency stop")
@@ -65,9 +66,10 @@ class NotedCommands:
         progress(1, "recording large_random_current: running", 0.2, "")
         await self.go_on.wait()
         progress(2, "recording small_current: running", 0.1, "2 effects may be the cause.")
-        request.folder.mkdir(parents=True)
+        request.folder.mkdir(parents=True, exist_ok=True)
         (request.folder / "diagnosis.html").write_text("<h1>Diagnosis on the bench</h1>")
-        return BenchDiagnosisOutcome(True, "The force sensor lags by 2 ms.", "Every cause that was found is certain.")
+        why = "Every cause that was found is certain."
+        return BenchDiagnosisOutcome(True, "The force sensor lags by 2 ms.", why, self.ending)
 
     def cancel_diagnosis(self) -> None:
         self.asked.append("cancel the diagnosis")

@@ -1,6 +1,8 @@
 """The diagnosis on the bench from the page: it holds the queue back, tells how far it is, and shows its report."""
 
 import asyncio
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +10,7 @@ import pytest
 from nicegui.testing import User
 
 from mrd_base import InputError
-from mrd_dashboard.bench_diagnosis import BenchDiagnosis, BenchDiagnosisOutcome
+from mrd_dashboard.bench_diagnosis import BenchDiagnosis, BenchDiagnosisOutcome, BenchDiagnosisRequest
 from mrd_dashboard.dashboard import Dashboard, Visitor
 
 ANN = Visitor("a", "Ann")
@@ -63,11 +65,35 @@ def test_a_run_of_the_queue_is_not_disturbed(dashboard: Dashboard) -> None:
         dashboard.diagnose_on_bench("auto", 120.0)
 
 
+def test_it_goes_on_with_a_measurement_by_hand_in_its_own_folder(
+    dashboard: Dashboard, commands: Any, new_bag: Callable[[Path], Path]
+) -> None:
+    async def run() -> None:
+        with pytest.raises(InputError, match="no diagnosis on the bench was interrupted"):
+            dashboard.go_on_diagnosing([])
+        commands.ending = "nothing_separates"
+        commands.go_on.set()
+        dashboard.diagnose_on_bench("bouc_wen", 120.0)
+        await asyncio.gather(*dashboard.tasks)
+        assert dashboard.bench_diagnosis.can_go_on
+        with pytest.raises(InputError, match="strange: no recording of"):
+            dashboard.go_on_diagnosing(["strange"])
+        blow = new_bag(dashboard.recordings.folder / "blow")
+        commands.ending = "cause_known"
+        dashboard.go_on_diagnosing(["blow"])
+        await asyncio.gather(*dashboard.tasks)
+        first, second = commands.asked
+        assert second == replace(first, runs=(str(blow),))
+        assert not dashboard.bench_diagnosis.can_go_on
+
+    asyncio.run(run())
+
+
 def test_only_its_own_pages_are_shown(tmp_path: Path) -> None:
     state = BenchDiagnosis()
     with pytest.raises(InputError, match="has no such page"):
         state.page("diagnosis.html")
-    state.begin(tmp_path)
+    state.begin(BenchDiagnosisRequest("auto", 180.0, tmp_path, ""))
     (tmp_path / "secret.html").write_text("")
     (tmp_path / "round_1/report").mkdir(parents=True)
     for name in ("diagnosis.html", "round_1/report/gap_report.html"):

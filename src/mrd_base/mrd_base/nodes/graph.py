@@ -359,9 +359,11 @@ STOP_RECORDING = Service("stop_recording", StopRecording, "recorder", "close the
 
 # Actions
 
-RUN_EXPERIMENT = Action("run_experiment", RunExperiment, "supervisor", "home, tare, record one experiment, close the bag")
+RUN_EXPERIMENT = Action(
+    "run_experiment", RunExperiment, "supervisor", "home, tare, record one experiment, close the bag", callers=("diagnoser",)
+)
 RUN_CONTROL = Action("run_control", RunExperiment, "supervisor", "home, tare, record one hybrid test, close the bag")
-RUN_SET = Action("run_set", RunSet, "supervisor", "record experiments one after the other", callers=("diagnoser",))
+RUN_SET = Action("run_set", RunSet, "supervisor", "record experiments one after the other")
 IDENTIFY = Action("identify", Identify, "identifier", "fit a damper model, as the tool identify does")
 DIAGNOSE = Action("diagnose", Diagnose, "diagnoser", "explain the gap between simulator and runs, as the tool diagnose does")
 DIAGNOSE_ON_BENCH = Action(

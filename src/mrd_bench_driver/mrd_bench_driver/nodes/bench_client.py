@@ -1,6 +1,8 @@
 """A client of the bench: it waits until the nodes are up, and lets the supervisor run experiments."""
 
 import os
+import select
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +31,10 @@ from mrd_base.nodes.graph import (
     RUN_CONTROL,
     RUN_EXPERIMENT,
     RUN_SET,
+    START_RECORDING,
+    STOP_RECORDING,
     Action,
+    Service,
 )
 from mrd_bench_driver.processes import ProcessDiedError
 from mrd_interfaces.action import DiagnoseOnBench, RunExperiment, RunSet
@@ -289,6 +294,40 @@ class BenchClient:
             feedback(message)
 
         return self._send(DIAGNOSE_ON_BENCH, self._diagnose_on_bench, goal, on_feedback)
+
+    def record_by_hand(self, bag: Path, duration: float) -> None:
+        """Record so many s of bench time while nothing is commanded: drive and coil are off, and a person acts.
+
+        Raises
+        ------
+        InputError
+            Where the recorder refuses, or samples are lost, with the reason.
+        """
+        self._call(START_RECORDING, bag=str(bag))
+        try:
+            self.let_time_pass()
+            end = self.time.now() + duration
+            self.spin(lambda: self.time.now() > end, float("inf"))
+        finally:
+            self._call(STOP_RECORDING)
+            self._hold_time()
+
+    def read_line(self) -> str:
+        """Return the next line that a person types, without its end; ``q`` at the end of the input. Meanwhile the bench is
+        watched.
+        """
+        self.spin(lambda: bool(select.select([sys.stdin], [], [], 0.0)[0]), float("inf"))
+        return (sys.stdin.readline() or "q").strip()
+
+    def _call(self, service: Service, **fields: Any) -> None:
+        client = service.client(self.node)
+        response = None
+        if self.spin(client.service_is_ready, ACCEPT_TIMEOUT):
+            called = client.call_async(service.type.Request(**fields))
+            response = called.result() if self.spin(called.done, ACCEPT_TIMEOUT, watch=False) else None
+        client.destroy()
+        if response is None or not response.success:
+            raise InputError(response.message if response else f"{service.node} does not answer; look at its log")
 
     def _run(self, action: Action, client: ActionClient, goal: Any, feedback: Feedback) -> Any:
         def on_feedback(message: Any) -> None:

@@ -167,7 +167,11 @@ class RosCommands:
             raise InputError("the node diagnoser does not answer; start it: ros2 run mrd_diagnosis diagnoser")
         self._refusals.clear()
         goal = DiagnoseOnBench.Goal(
-            model=request.model, budget=request.budget, folder=str(request.folder.resolve()), bench=request.bench
+            model=request.model,
+            budget=request.budget,
+            folder=str(request.folder.resolve()),
+            bench=request.bench,
+            runs=list(request.runs),
         )
         loop = asyncio.get_running_loop()
 
@@ -182,7 +186,8 @@ class RosCommands:
         self._diagnosis = handle
         awaited = await self._in_executor(handle.get_result_async)
         result = (await self._while_there(client, awaited, "diagnosis")).result
-        return BenchDiagnosisOutcome(result.success, result.message or "the diagnoser failed; look at its log", result.why)
+        message = result.message or "the diagnoser failed; look at its log"
+        return BenchDiagnosisOutcome(result.success, message, result.why, result.ending)
 
     def cancel_diagnosis(self) -> None:
         """End the diagnosis on the bench, and what it records."""

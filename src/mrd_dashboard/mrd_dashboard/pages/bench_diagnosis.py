@@ -6,6 +6,7 @@ from typing import Any
 from nicegui import ui
 
 from mrd_dashboard.dashboard import Dashboard, Visitor
+from mrd_dashboard.pages.analysis import RecordingsField
 from mrd_dashboard.pages.notes import tell
 from mrd_diagnosis.diagnose import BEST_MODEL
 from mrd_diagnosis.sequential.sequential import BUDGET
@@ -33,6 +34,12 @@ def bench_diagnosis_card(dashboard: Dashboard, who: Visitor) -> Callable[[], Non
 
         tell(await dashboard.act(who, "cancel the diagnosis on the bench", work, watching=True))
 
+    async def go_on() -> None:
+        async def work() -> str:
+            return dashboard.go_on_diagnosing(by_hand.value or [])
+
+        tell(await dashboard.act(who, "go on with the diagnosis on the bench", work, ", ".join(by_hand.value or [])))
+
     with ui.card().classes("w-full p-3 gap-2"):
         ui.label("Or let the bench do all of it").classes("text-base font-medium")
         ui.label(
@@ -48,6 +55,9 @@ def bench_diagnosis_card(dashboard: Dashboard, who: Visitor) -> Callable[[], Non
             bar = ui.linear_progress(0.0, show_value=False).props("rounded").classes("grow")
             ui.button("Cancel", on_click=cancel).props("outline dense no-caps padding='2px 10px'").mark("cancel-diagnosis")
         rows = ui.column().classes("w-full gap-1")
+        with ui.row().classes("w-full items-end gap-3") as further:
+            by_hand = RecordingsField("recordings of the measurement by hand").props("dense").classes("grow")
+            ui.button("Go on", on_click=go_on).props("no-caps unelevated").mark("go-on-diagnosing")
         report = ui.button("Report").props('outline no-caps target=_blank href="/bench_diagnosis/diagnosis.html"')
         report.mark("bench-diagnosis-report")
 
@@ -57,6 +67,9 @@ def bench_diagnosis_card(dashboard: Dashboard, who: Visitor) -> Callable[[], Non
         progress.set_visibility(state.running)
         stage.text = f"round {state.round}: {state.stage}"
         bar.value = state.share
+        further.set_visibility(state.can_go_on)
+        if state.can_go_on:
+            by_hand.offer(dashboard.recordings.search())
         report.set_visibility(bool(state.folder and not state.running and (state.folder / "diagnosis.html").is_file()))
         said = (tuple(state.added), state.sentence)
         if said != shown[0]:

@@ -10,8 +10,8 @@ from typing import Any
 from rclpy.task import Future
 
 from mrd_base import InputError
-from mrd_base.nodes.graph import BENCH_STATE, REFUSALS, RUN_SET
-from mrd_interfaces.action import RunSet
+from mrd_base.nodes.graph import BENCH_STATE, REFUSALS, RUN_EXPERIMENT
+from mrd_interfaces.action import RunExperiment
 from mrd_interfaces.msg import BenchState
 from mrd_runs.nodes.analysis_node import AnalysisNode
 from mrd_trajectory.experiment import format_experiment
@@ -35,7 +35,7 @@ class RecordingClient:
 
     def __init__(self, node: AnalysisNode) -> None:
         self._node = node
-        self._run_set = RUN_SET.client(node)
+        self._run = RUN_EXPERIMENT.client(node)
         self._state = BenchState()
         self._heard = threading.Event()
         self._refusals: list[str] = []
@@ -54,7 +54,7 @@ class RecordingClient:
         InputError
             Where no supervisor is heard, or the bench does something else or has a fault.
         """
-        if not (self._heard.wait(HEARD_TIMEOUT) and self._run_set.wait_for_server(HEARD_TIMEOUT)):
+        if not (self._heard.wait(HEARD_TIMEOUT) and self._run.wait_for_server(HEARD_TIMEOUT)):
             raise InputError(f"no supervisor was heard within {HEARD_TIMEOUT:g} s; start the bench, or look at its log")
         state = self._state
         if state.mode == BenchState.FAULT:
@@ -65,13 +65,15 @@ class RecordingClient:
 
     def require_no_stop_since(self, stops: int) -> None:
         """Raise `InputError` where the bench was stopped, or got another supervisor, since it had counted so many stops."""
-        if self._state.stops != stops:
-            raise InputError(f"the bench was stopped: {self._state.message}")
+        state = self._state
+        if state.stops != stops:
+            why = f": {state.message}" if state.mode == BenchState.FAULT else " by somebody, or its supervisor started again"
+            raise InputError(f"the bench was stopped{why}")
 
     def record(self, planned: Plan, folder: Path, seed: int, stops: int, progress: Callable[[str, float], None]) -> None:
         """Record one experiment into a folder, in which its bag has the name of the experiment.
 
-        Each has a goal of its own, so that nothing more is recorded than the present one where this process is killed.
+        The experiments of a round are no set: where this process is killed, nothing more than the present one is recorded.
 
         Parameters
         ----------
@@ -95,9 +97,10 @@ class RecordingClient:
             nonlocal latest
             latest = (message.feedback.phase, min(1.0, message.feedback.elapsed / planned.duration))
 
-        goal = RunSet.Goal(experiments=[format_experiment(planned.experiment)], folder=str(folder), seed=seed, stops=stops)
+        text = format_experiment(planned.experiment)
+        goal = RunExperiment.Goal(experiment=text, bag=str(folder / name), seed=seed, stops=stops)
         self._refusals.clear()
-        accepted = self._in_executor(lambda: self._run_set.send_goal_async(goal, feedback_callback=on_feedback))
+        accepted = self._in_executor(lambda: self._run.send_goal_async(goal, feedback_callback=on_feedback))
         if not _is_done(accepted, ACCEPT_TIMEOUT):
             raise InputError(f"the supervisor did not accept {name} within {ACCEPT_TIMEOUT:g} s; look at its log")
         handle = accepted.result()
@@ -114,14 +117,14 @@ class RecordingClient:
             raise
         result = ended.result().result
         if not result.success:
-            raise InputError(f"the recording ended early: {result.message}")
+            raise InputError(f"the recording of {name} ended early: {result.message}")
 
     def _follow(self, ended: Future, stops: int, progress: Callable[[], None]) -> None:
         """Wait for the end of a recording as long as there is the supervisor that could tell it."""
         while not _is_done(ended, LOOK):
             # A supervisor that was stopped tells so. One that was killed does not, even where another one has come.
             stopped = self._state.stops != stops and not self._await_end(ended)
-            if stopped or not self._run_set.server_is_ready():
+            if stopped or not self._run.server_is_ready():
                 raise SupervisorGoneError("the supervisor is gone; what was recorded until then is kept; look at its log")
             progress()
 
@@ -129,7 +132,7 @@ class RecordingClient:
         """Wait until a recording has ended, or nobody can tell any more; return whether it has."""
         deadline = time.monotonic() + END_TIMEOUT
         while not _is_done(ended, LOOK):
-            gone = self._node.stopping.is_set() or not self._run_set.server_is_ready()
+            gone = self._node.stopping.is_set() or not self._run.server_is_ready()
             if gone or time.monotonic() > deadline:
                 return False
         return True
@@ -147,7 +150,7 @@ class RecordingClient:
 
     def _reason(self) -> str:
         """Return why the latest goal was refused."""
-        prefix, deadline = f"{RUN_SET.name}: ", time.monotonic() + REASON_TIMEOUT
+        prefix, deadline = f"{RUN_EXPERIMENT.name}: ", time.monotonic() + REASON_TIMEOUT
         while time.monotonic() < deadline:
             if reasons := [text.removeprefix(prefix) for text in self._refusals if text.startswith(prefix)]:
                 return reasons[-1]

@@ -125,8 +125,13 @@ def diagnose_sequentially(
     Raises
     ------
     InputError
-        For a budget that the first recordings exceed, and as `diagnose`.
+        For a budget that the first recordings exceed, for a further recording that has a fault or no motion, and as
+        `diagnose`.
     """
+    for finding in preflight(list(further)) if further else ():
+        # It would spoil what all the other recordings say.
+        if finding.run and (finding.severity == "fault" or (finding.kind, finding.severity) == ("coverage", "limitation")):
+            raise InputError(f"{finding.run}: {finding.text}")
     asked = list(first) or first_set(bench)
     needed = sum(planned.duration for planned in asked)
     if budget < needed:
