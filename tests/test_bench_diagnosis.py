@@ -2,6 +2,7 @@
 
 import json
 import os
+import pty
 import signal
 import subprocess
 import time
@@ -14,6 +15,7 @@ import pytest
 from std_msgs.msg import Bool
 
 from mrd_interfaces.action import DiagnoseOnBench
+from mrd_runs import read_run
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(600)]
 
@@ -92,10 +94,8 @@ def test_a_healthy_damper_has_no_gap_and_what_is_recorded_is_not_recorded_again(
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 130, errors
     assert f"recorded until then: {first}" in errors
+    assert f"go on by the same command with --resume --output {tmp_path / 'out'}" in errors
     kept = (first / "metadata.yaml").stat().st_mtime_ns
-    for bag in (tmp_path / "out" / "round_1").iterdir():
-        if bag != first:  # a stopped recording holds a part of its experiment
-            bag.rename(tmp_path / bag.name)
 
     refused = start()
     _, errors = refused.communicate(timeout=120)
@@ -112,6 +112,62 @@ def test_a_healthy_damper_has_no_gap_and_what_is_recorded_is_not_recorded_again(
     assert [entry["recordings"] for entry in written["rounds"]] == [list(FIRST)]
     assert (tmp_path / "out" / "diagnosis.html").exists()
     assert (tmp_path / "out" / "round_1" / "report" / "gap_report.html").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGKILL], ids=["closed terminal", "killed tool"])
+def test_the_bench_ends_with_its_operator_and_nothing_recorded_is_lost(
+    start: Start, tmp_path: Path, number: signal.Signals
+) -> None:
+    first = tmp_path / "out" / "round_1" / FIRST[0]
+    process = start()
+    wait_for(lambda: any(first.glob("*.mcap")), process)
+    time.sleep(2.0)  # the rod moves
+    nodes = psutil.Process(process.pid).children(recursive=True)
+    process.send_signal(number)
+    process.wait(60)
+    _, alive = psutil.wait_procs(nodes, 60)
+    assert not alive
+    assert read_run(first).duration > 0.5
+
+    process = start("--resume")
+    aside = tmp_path / "out" / "round_1" / "incomplete" / f"{FIRST[0]}_1"
+    wait_for(lambda: closed(first) and closed(aside), process)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=120)
+    assert read_run(aside).duration < read_run(first).duration
+
+
+@pytest.mark.slow
+def test_a_person_is_led_through_a_measurement_by_hand(tmp_path: Path) -> None:
+    """A delay of 0.4 ms is not told from a lag by any run; a recording in which nobody has acted is refused."""
+    plant, out = tmp_path / "plant.yaml", tmp_path / "out"
+    plant.write_text(PLANT.read_text().replace('effects: ""', 'effects: "channel_delay: {delay: 0.0004}"'))
+    ours, theirs = pty.openpty()
+    command = ["ros2", "run", "mrd_bench_driver", "bench", "--simulated", "--plant", str(plant), "--output", str(out)]
+    log = tmp_path / "said.txt"
+    with log.open("w") as said:
+        process = subprocess.Popen(
+            [*command, "--diagnose", "bouc_wen"], stdin=theirs, stdout=said, stderr=subprocess.PIPE, text=True
+        )
+
+    def asked(count: int) -> Callable[[], bool]:
+        return lambda: log.read_text().count("Prepare that measurement.") == count
+
+    try:
+        wait_for(asked(1), process, 500)
+        os.write(ours, b"\n")
+        wait_for(asked(2), process)
+        assert f"recorded: {out / 'by_hand' / 'measurement_1'}" in log.read_text()
+        assert "is not used: measurement_1: the rod rests" in log.read_text()
+        os.write(ours, b"nowhere.csv\n")
+        wait_for(asked(3), process)
+        assert "nowhere.csv: no such file" in log.read_text()
+        os.write(ours, b"q\n")
+        _, errors = process.communicate(timeout=120)
+    finally:
+        process.kill()
+    assert process.returncode == 0, errors
+    assert f"--resume --output {out} --add RUN" in log.read_text()
 
 
 def test_a_fault_is_named_and_a_killed_diagnoser_loses_no_recording(start: Start, lagging: Path, tmp_path: Path) -> None:
@@ -133,7 +189,7 @@ def test_a_fault_is_named_and_a_killed_diagnoser_loses_no_recording(start: Start
 
 @pytest.mark.parametrize("phase", ["it records", "it computes"])
 def test_an_emergency_stop_ends_it(whole_bench: Any, tmp_path: Path, phase: str) -> None:
-    """Pressed while the rod moves, the recording ends; pressed while the diagnosis computes, no further one begins."""
+    """Pressed while the rod moves, the recording ends; pressed while the diagnosis computes, that ends."""
     with whole_bench(tmp_path, diagnoser=True) as bench:
         pressed: list[str] = []
 
@@ -145,9 +201,9 @@ def test_an_emergency_stop_ends_it(whole_bench: Any, tmp_path: Path, phase: str)
         goal = DiagnoseOnBench.Goal(model="bouc_wen", bench=str(BENCH), folder=str(tmp_path / "out"))
         result = bench.client.diagnose_on_bench(goal, press)
         assert pressed
+        assert not result.success
+        assert "emergency stop" in result.message
         if phase == "it records":
-            assert not result.success
-            assert "emergency stop" in result.message
             assert [path.name for path in (tmp_path / "out" / "round_1").iterdir()] == [FIRST[0]]
         refused = bench.client.run_set([SHORT], tmp_path / "later", 0)
         assert not refused.success

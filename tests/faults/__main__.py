@@ -12,25 +12,26 @@ from pathlib import Path
 
 import rclpy  # noqa: F401 - before the domain is claimed nothing of ROS runs
 
-from faults import coil, converter, damper, hybrid_tests, machine, motor, people, processes, serial_line
+from faults import bench_diagnosis, coil, converter, damper, hybrid_tests, machine, motor, people, processes, serial_line
 from faults.campaign import Bench, Fault, Reaction, measure, table
 from mrd_base.domain import claim_domain
 
-FAMILIES = (people, serial_line, motor, converter, coil, damper, machine, processes, hybrid_tests)
+FAMILIES = (people, serial_line, motor, converter, coil, damper, machine, processes, hybrid_tests, bench_diagnosis)
 
 
 def run(faults: list[Fault], moments: int, repeat: int, seed: int, folder: Path) -> list[tuple[Fault, list[Reaction]]]:
     """Try every fault several times, those of processes at random moments; return what was measured."""
-    ordered = sorted(faults, key=lambda fault: fault.hybrid)
+    ordered = sorted(faults, key=lambda fault: fault.bench)
     todo = [(fault, k) for fault in ordered for k in range(moments if fault.at_random else repeat)]
     measured: dict[Fault, list[Reaction]] = {fault: [] for fault in faults}
     number = 0
     while todo:
-        # A bench that is broken is replaced by a new one; a hybrid test needs one with a controller and shorter blocks.
+        # A bench that is broken is replaced by a new one; a hybrid test needs one with a controller and shorter blocks, a
+        # diagnosis on the bench one with a diagnoser.
         number += 1
-        hybrid = todo[0][0].hybrid
-        with Bench(folder / str(number), seed + number, hybrid) as bench:
-            while todo and todo[0][0].hybrid is hybrid:
+        needed = todo[0][0].bench
+        with Bench(folder / str(number), seed + number, *needed) as bench:
+            while todo and todo[0][0].bench == needed:
                 fault, _ = todo.pop(0)
                 begin = time.monotonic()
                 try:

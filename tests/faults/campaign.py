@@ -1,13 +1,14 @@
 """What a fault is, what is expected of the bench, and the one way in which its reaction is measured.
 
 A fault is injected while the rod moves at 50 mm/s with 100 mA in the coil, or at a random moment of the whole procedure, of
-an experiment or of a hybrid test.
+an experiment or of a hybrid test, or in a phase of a diagnosis that records what it needs.
 Motion and current are the true ones of the simulated plant, every 20 ms; all times are bench times.
 """
 
 import dataclasses
 import random
 import re
+import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,15 +21,19 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
-from whole_bench import ROOT, WholeBench
+from whole_bench import BENCH, ROOT, WholeBench
 
 from faults.broken_machine import BrokenMachine
 from mrd_base.nodes.bench_node import LATCHED, seconds
+from mrd_base.nodes.graph import DIAGNOSE_ON_BENCH
 from mrd_control.experiment import format_control_experiment, read_control_experiment
-from mrd_interfaces.action import RunExperiment
+from mrd_diagnosis.sequential.first_set import FIRST_SET, first_set
+from mrd_interfaces.action import DiagnoseOnBench, RunExperiment
 from mrd_interfaces.msg import BenchState
 from mrd_runs.bag import read_bag
 from mrd_runs.blocks import decode_blocks
+from mrd_trajectory.experiment import format_experiment
+from mrd_trajectory.settings import read_settings
 
 LONG = """
 name: long
@@ -64,9 +69,14 @@ LIVELY = format_control_experiment(
 )
 """One that only the damper damps, with a light wheel: stable while the rod is no later than declared."""
 
+SIMPLE = "bingham"
+"""Model whose diagnosis needs several rounds: the simulated damper has a hysteresis, which it lacks."""
+
 MOVES, FLOWS, STANDS, FAST = 2e-3, 0.02, 2e-4, 0.045
 """m/s and A above which rod and coil are not at rest; m by which a rod that stands may be displaced; m/s from which faults
 are injected."""
+FAST_IN_DIAGNOSIS = 0.01
+"""The same in a diagnosis, whose later recordings may have small strokes."""
 _MOMENTS = 8.0
 """Bench time in s from the goal within which random moments lie: homing, tare, and some seconds of the run."""
 
@@ -78,6 +88,15 @@ class Ending(Enum):
     ENDED = "the run ends"
     COMPLAINS = "the result says so"
     COMPLETE = "goes on"
+
+
+class Phase(Enum):
+    """What a diagnosis on the bench does."""
+
+    FIRST = "first recording"
+    BETWEEN = "between two recordings"
+    COMPUTES = "while it computes"
+    LATER = "recording of a later round"
 
 
 @dataclass(frozen=True)
@@ -109,6 +128,8 @@ class Fault:
         Whether it is injected in a hybrid test, which ends by it, instead of an experiment.
     experiment : str
         What runs then, where it is not the usual one.
+    phase : Phase or None
+        Of a diagnosis on the bench, in which it is injected instead of in an experiment.
     """
 
     name: str
@@ -125,6 +146,12 @@ class Fault:
     homes_on: bool = False
     hybrid: bool = False
     experiment: str = ""
+    phase: Phase | None = None
+
+    @property
+    def bench(self) -> tuple[bool, bool]:
+        """Whether it needs a bench with a controller, and one with a diagnoser."""
+        return self.hybrid, self.phase is not None
 
 
 @dataclass(frozen=True)
@@ -141,12 +168,14 @@ class Reaction:
 class Bench(WholeBench):
     """A bench with limit switches that one fault after the other is tried on."""
 
-    def __init__(self, folder: Path, seed: int, hybrid: bool = False, **environment: str) -> None:
+    def __init__(self, folder: Path, seed: int, hybrid: bool = False, diagnoser: bool = False, **environment: str) -> None:
         wired = {"servo": {"limit_switches": True}, "plant": {"motor.limit_switches": True}}
         folder.mkdir(parents=True, exist_ok=True)
         self.machine = BrokenMachine(folder)
         cycle = _SHIPPED.cycle if hybrid else None
-        super().__init__(folder / "bench", wired, control_cycle=cycle, **environment, **self.machine.environment)
+        super().__init__(
+            folder / "bench", wired, control_cycle=cycle, diagnoser=diagnoser, **environment, **self.machine.environment
+        )
         self.action = "run_control" if hybrid else "run_experiment"
         self.folder = folder
         self.random = random.Random(seed)
@@ -162,12 +191,14 @@ class Bench(WholeBench):
         self.modes: list[BenchState] = self.subscribe("bench_state", BenchState, LATCHED)
         self.client.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self.run = ActionClient(self.client.node, RunExperiment, self.action)
+        self.diagnose = DIAGNOSE_ON_BENCH.client(self.client.node)
         assert self.client.spin(self.run.server_is_ready, 30)
         return self
 
     def __exit__(self, *error: object) -> None:
         self.end_background()
         self.run.destroy()
+        self.diagnose.destroy()
         super().__exit__(*error)
 
     def end_background(self) -> None:
@@ -203,6 +234,98 @@ class Bench(WholeBench):
         ended = self.send(experiment)
         self.advance(self.random.uniform(0.0, _MOMENTS))
         return ended
+
+    def first_round(self) -> Path:
+        """Return the folder of the recordings of a first round, which are made once."""
+        folder = self.folder / "round_1"
+        if not folder.exists():
+            plans = first_set(read_settings(BENCH))
+            result = self.client.run_set([format_experiment(planned.experiment) for planned in plans], folder, 0)
+            assert result.success, result.message
+        return folder
+
+    def send_diagnosis(self, until: Callable[[Any], bool]) -> Any:
+        """Send a diagnosis on the bench, with recordings and reports in the folder ``diagnosis``; return the handle of its
+        goal and the future of its result once it has told what is waited for.
+
+        Until then, the bench time stands still while it computes, as it does for the tool `bench`.
+        """
+        reached = stands = False
+
+        def hear(message: Any) -> None:
+            nonlocal reached, stands
+            if not reached and stands == message.feedback.moves:
+                stands = not stands
+                (self.clock.hold if stands else self.clock.release)()
+            reached = reached or until(message.feedback)
+
+        goal = DiagnoseOnBench.Goal(model=SIMPLE, bench=str(BENCH), folder=str(self.diagnosis))
+        assert self.client.spin(self.diagnose.server_is_ready, 30, watch=False)
+        accepted = self.diagnose.send_goal_async(goal, feedback_callback=hear)
+        assert self.client.spin(accepted.done, 30, watch=False)
+        assert accepted.result().accepted, "the diagnosis was refused"
+        ended = accepted.result().get_result_async()
+        self.client.spin(lambda: reached or ended.done(), 600, watch=False)
+        if stands:
+            self.clock.release()
+        assert not ended.done(), ended.result().result.message
+        assert reached, "the diagnosis does not come so far"
+        return accepted.result(), ended
+
+    def diagnose_until(self, phase: Phase, number: int) -> Any:
+        """Begin a diagnosis on the bench; return the future of its result in a phase of it."""
+        self.diagnosis = self.folder / f"diagnosis{number}"
+        self.bag = self.diagnosis / "none"
+        if phase in (Phase.COMPUTES, Phase.LATER):
+            shutil.copytree(self.first_round(), self.diagnosis / "round_1")
+
+        def reached(feedback: Any) -> bool:
+            if phase is Phase.COMPUTES:
+                return not feedback.moves
+            number = 2 if phase is Phase.LATER else 1
+            if phase is Phase.BETWEEN:
+                return feedback.stage.startswith(f"recording {FIRST_SET[1]}")
+            return feedback.round == number and feedback.moves and feedback.stage.endswith("running")
+
+        self.handle, ended = self.send_diagnosis(reached)
+        if phase in (Phase.FIRST, Phase.LATER):
+            folder = self.diagnosis / f"round_{2 if phase is Phase.LATER else 1}"
+            (self.bag,) = [path for path in folder.iterdir() if path.name not in ("report", "incomplete")]
+            fast = self.client.spin(lambda: abs(self.truth[-1].velocity[0]) > FAST_IN_DIAGNOSIS, 60, watch=False)
+            assert fast, "the rod does not move"
+        return ended
+
+    def cancel(self) -> None:
+        """Cancel the diagnosis, as `bench` does at Ctrl-C."""
+        self.handle.cancel_goal_async()
+        self.client.spin(lambda: False, 0.5, watch=False)  # nobody announces the request to the bench time
+
+    def watch_the_end(self, duration: float = 3.0) -> None:
+        """Let bench time pass until the rod has not moved for so many s: a recording may go on, but none begins."""
+        while True:
+            begun = self.clock.now()
+            self.advance(duration)
+            if not self.last_time(begun, lambda state: abs(state.velocity[0]) > MOVES):
+                return
+
+    def recorded(self) -> dict[Path, int]:
+        """Return the closed recordings of the diagnosis, each with the time of its last change in ns."""
+        return {path.parent: path.stat().st_mtime_ns for path in self.diagnosis.glob("round_*/*/metadata.yaml")}
+
+    def go_on(self) -> str:
+        """Send the diagnosis again, until it records or computes; return what is wrong with that, or ""."""
+        kept = self.recorded()
+        try:
+            handle, ended = self.send_diagnosis(lambda feedback: not feedback.moves or feedback.stage.endswith("running"))
+        except AssertionError as error:
+            return f"the diagnosis does not go on: {error}"
+        handle.cancel_goal_async()
+        if not self.client.spin(ended.done, 120, watch=False):
+            return "the diagnosis that goes on is not cancelled"
+        later = self.recorded()
+        moved = [path for path in self.diagnosis.glob("round_*/incomplete/*") if path.is_dir()]
+        lost = [path.name for path in kept if later.get(path) != kept[path] and path.name not in str(moved)]
+        return f"lost: {', '.join(lost)}" if lost else ""
 
     def restart(self, name: str) -> None:
         """Start a node that has ended, or was stopped by a signal."""
@@ -293,10 +416,12 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
         if ended.done() and "loaded another experiment" in ended.result().result.message:
             # The generator has answered a request of the supervisor that was killed before.
             ended = bench.run_to_random_moment(experiment)
+    elif fault.phase:
+        ended = bench.diagnose_until(fault.phase, number)
     elif not fault.idle:
         ended = bench.run_at_speed(experiment, bench.bag, bench.action)
     with bench.clock.busy():
-        if not (fault.at_random or fault.idle):
+        if not (fault.at_random or fault.idle or fault.phase):
             bench.reach_full_speed()
         begun = bench.clock.now()
         bench.told.clear()
@@ -305,8 +430,11 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
         bench.advance(0.5)
         result, ends = bench.client.run_experiment(experiment, bench.bag, 0), True
     else:
-        ends = bench.client.spin(lambda: ended.done() or _is_gone(bench, "supervisor"), 120, watch=False)
+        teller, patience = ("diagnoser", 600) if fault.phase else ("supervisor", 120)
+        ends = bench.client.spin(lambda: ended.done() or _is_gone(bench, teller), patience, watch=False)
         result = ended.result().result if ended.done() else None
+    if fault.phase:
+        bench.watch_the_end()
     # The result may be heard before the mode in which the run has ended.
     bench.advance(max(0.2, begun + 1.0 - bench.clock.now()))
     rest = bench.last_time(
@@ -344,8 +472,8 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
         failures += _try_to_move(bench)
     fault.repair(bench)
     bench.end_background()
-    if problem := bench.reset():
-        failures.append(problem)
+    problem = bench.reset() or (bench.go_on() if fault.phase else "")
+    require(not problem, problem)
     return Reaction(rest, coil, said, recording, tuple(failures))
 
 
@@ -425,7 +553,7 @@ def table(rows: list[tuple[Fault, list[Reaction]]]) -> str:
             return f"{1e3 * value:.0f}" if limit is not None else "hardware"
 
         said = reaction.said.replace("|", "/").replace(str(fault), "")
-        said = re.sub(r"/[^ ,;:()]*/(bag\d*)", r"\1", said)
+        said = re.sub(r"/[^ ,;:()]*/(bag\d*|round_\d)", r"\1", said)
         said = said if len(said) < 120 else said[:117] + "..."
         cells = [fault.name, str(len(reactions)), fault.ending.value, shown(reaction.rest, fault.rest)]
         cells += [shown(reaction.coil, fault.coil), said, reaction.recording]

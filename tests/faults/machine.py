@@ -14,7 +14,7 @@ def _starve(bench: Bench) -> None:
         bench.background.append(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
 
 
-def _break(**fault: int) -> Callable[[Bench], None]:
+def break_machine(**fault: int) -> Callable[[Bench], None]:
     return lambda bench: bench.machine.set(**fault)
 
 
@@ -30,7 +30,7 @@ def _step_clock(step: int) -> Callable[[Bench], None]:
     return inject
 
 
-def _mend(bench: Bench) -> None:
+def mend(bench: Bench) -> None:
     bench.machine.set()
 
 
@@ -38,12 +38,12 @@ def _disk_fails(name: str, error: int) -> Fault:
     # The recorder writes within 0.25 s, and the run ends as by `stop`.
     return Fault(
         f"disk: {name}",
-        _break(disk_error=error),
+        break_machine(disk_error=error),
         rf"bag\d+: cannot be written \({os.strerror(error)}; ",
         Ending.ENDED,
         rest=0.5,
         coil=0.5,
-        repair=_mend,
+        repair=mend,
         recorded=False,
     )
 
@@ -53,7 +53,7 @@ FAULTS = (
     _disk_fails("full", errno.ENOSPC),
     _disk_fails("read-only", errno.EROFS),
     _disk_fails("fails", errno.EIO),
-    Fault("disk: each fsync takes a second", _break(fsync_time=1), "", Ending.COMPLETE, repair=_mend),
-    Fault("clock: stepped forward by an hour", _step_clock(3600), "", Ending.COMPLETE, repair=_mend),
-    Fault("clock: stepped back by an hour", _step_clock(-3600), "", Ending.COMPLETE, repair=_mend),
+    Fault("disk: each fsync takes a second", break_machine(fsync_time=1), "", Ending.COMPLETE, repair=mend),
+    Fault("clock: stepped forward by an hour", _step_clock(3600), "", Ending.COMPLETE, repair=mend),
+    Fault("clock: stepped back by an hour", _step_clock(-3600), "", Ending.COMPLETE, repair=mend),
 )
