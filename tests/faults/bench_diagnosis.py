@@ -63,22 +63,14 @@ def _faults(phase: Phase) -> Iterator[Fault]:
         told = "the motor|is gone" if records else ""
         yield fault("serial line: pulled", in_plant("unplug"), "the motor does not answer", pulled, told=told)
     yield fault("client: cancels and ends", Bench.cancel, "^cancelled", Ending.ENDED)
-    gone = "^the supervisor (is gone|did not accept)"
-    yield fault(
-        "supervisor: SIGKILL", _kill("supervisor"), gone, Ending.ENDED, repair=_restart("supervisor"), recorded=False
-    )
-    # A recorder that is gone is no danger: the rod may home before it is missed, and the run ends as by `stop`.
-    yield fault(
-        "recorder: SIGKILL",
-        _kill("recorder"),
-        "recorder",
-        Ending.ENDED,
-        repair=_restart("recorder"),
-        recorded=False,
-        homes_on=True,
-        rest=1.0,
-        coil=1.0,
-    )
+    if phase is not Phase.COMPUTES:  # then, nobody needs them before the next recording
+        gone = "^the supervisor (is gone|did not accept)"
+        kill, restart = _kill("supervisor"), _restart("supervisor")
+        yield fault("supervisor: SIGKILL", kill, gone, Ending.ENDED, repair=restart, recorded=False)
+        # A recorder that is gone is no danger: the rod may home before it is missed, and the run ends as by `stop`.
+        late: dict[str, object] = {"recorded": False, "homes_on": True, "rest": 1.0, "coil": 1.0}
+        kill, restart = _kill("recorder"), _restart("recorder")
+        yield fault("recorder: SIGKILL", kill, "recorder", Ending.ENDED, repair=restart, **late)
     yield fault(
         "disk: full",
         machine.break_machine(disk_error=errno.ENOSPC),

@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
-from whole_bench import BENCH, ROOT, WholeBench
+from whole_bench import BENCH, PLANT, ROOT, WholeBench
 
 from faults.broken_machine import BrokenMachine
 from mrd_base.nodes.bench_node import LATCHED, seconds
@@ -31,8 +31,10 @@ from mrd_diagnosis.sequential.first_set import FIRST_SET, first_set
 from mrd_interfaces.action import DiagnoseOnBench, RunExperiment
 from mrd_interfaces.msg import BenchState
 from mrd_runs.bag import read_bag
+from mrd_runs.bag_import import write_bag
 from mrd_runs.blocks import decode_blocks
-from mrd_trajectory.experiment import format_experiment
+from mrd_sim.plant import read_damper
+from mrd_sim.simulate import measure_plans
 from mrd_trajectory.settings import read_settings
 
 LONG = """
@@ -236,12 +238,13 @@ class Bench(WholeBench):
         return ended
 
     def first_round(self) -> Path:
-        """Return the folder of the recordings of a first round, which are made once."""
+        """Return the folder of the recordings of a first round, made without the bench: another one follows them."""
         folder = self.folder / "round_1"
         if not folder.exists():
-            plans = first_set(read_settings(BENCH))
-            result = self.client.run_set([format_experiment(planned.experiment) for planned in plans], folder, 0)
-            assert result.success, result.message
+            damper, rng, plans = read_damper(PLANT).build(), np.random.default_rng(1), first_set(read_settings(BENCH))
+            for run in [*measure_plans(plans[:1], damper, rng), *measure_plans(plans[1:], damper, rng)]:
+                columns = {"time_s": run.time, "position_m": run.position, "current_A": run.current, "force_N": run.force}
+                write_bag(columns, [], Path("simulated"), folder / run.name)
         return folder
 
     def send_diagnosis(self, until: Callable[[Any], bool]) -> Any:
