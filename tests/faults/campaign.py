@@ -496,7 +496,7 @@ def _look_at_bag(bench: Bench, begun: float, rest: float, fault: Fault) -> tuple
         bag = read_bag(bench.bag, {"samples"})
         topics = [entry for entry in bag.topics.values() if entry.messages]
         if not topics:  # broken before the first samples were written, a quarter of a second after the bag was made
-            return "empty", "" if fault.at_random else "the bag has no samples"
+            return "empty", "" if fault.at_random or fault.phase else "the bag has no samples"
         (topic,) = topics
         blocks = decode_blocks(topic.messages, bag.types)
     except ValueError as error:

@@ -19,7 +19,8 @@ pytestmark = pytest.mark.realtime
 
 FEW = (
     "^(pinion slips|coil: open|serial line: each reply comes after.*|LVDT: unplugged|disk: (full|read-only)"
-    "|clock: stepped back.*|recorder: SIGTERM|hybrid test: (wires of the load cell.*|controller: SIGKILL))$"
+    "|clock: stepped back.*|recorder: SIGTERM|hybrid test: (wires of the load cell.*|controller: SIGKILL)"
+    "|diagnosis, first recording: stop)$"
 )
 
 
@@ -30,16 +31,16 @@ def campaign(*options: str, timeout: float) -> str:
     return done.stdout
 
 
-@pytest.mark.timeout(480)
+@pytest.mark.timeout(600)
 def test_some_faults_are_within_their_limits() -> None:
-    table = campaign("--rows", FEW, "--moments", "1", timeout=470)
-    assert table.count("| ok |") == 10
+    table = campaign("--rows", FEW, "--moments", "1", timeout=590)
+    assert table.count("| ok |") == 11
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(3600)
+@pytest.mark.timeout(7500)
 def test_all_faults_are_within_their_limits() -> None:
-    table = campaign("--moments", "1", timeout=3500)
+    table = campaign("--moments", "1", timeout=7400)
     assert table.count("| ok |") == sum(len(family.FAULTS) for family in FAMILIES)
 
 
