@@ -1,12 +1,13 @@
 """Errors of the measured motion and current, propagated through the model: they are large where the rod reverses and where
-the current switches, so they are drawn at random and the force is computed with them.
+the current switches, so they are drawn at random and the force is computed with them. A force that jumps between two samples
+is a further one: a reading holds a mean of some time before it, and the model gives the force of the instant.
 """
 
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from mrd_identification.recording import Recording
 from mrd_runs.signals.current import current_noise, draw_current_noise
@@ -34,6 +35,9 @@ MEDIAN_OF_ABSOLUTE_NORMAL = 0.6745
 
 LEAST_SWITCH = 2e-3
 """Change of current from one sample to the next, over the largest current, below which the coil is not switched."""
+
+PARTS_OF_READING = 4
+"""Parts of a sampling interval in which the force is computed to see how it changes within a reading."""
 
 WIDTH_OF_SWITCH = 1e-3
 """Share of the sampling interval within which a switched current changes."""
@@ -65,7 +69,25 @@ def propagated_variance(
         path = replace(path, samples=path.samples[places], mains=recording.path.mains).as_warm_as(recording.path)
         path = path.led_in(recording.path.lead_in)
         squares += recording.as_recorded(model.force(theta, path) - expected) ** 2
-    return squares[recording.counted] / draws
+    within_readings = _change_within_reading(recording, model, theta, used)
+    return (squares / draws + recording.as_recorded(within_readings) ** 2)[recording.counted]
+
+
+def _change_within_reading(recording: Recording, model: DamperModel, theta: Array, current: Array) -> Array:
+    """Return by how much the mean of the model's force in N (n,) over the two intervals beside a sample differs from the one
+    at the sample, where the rod reverses within them.
+
+    Converters average, filters lag, and where a force jumps at the reversal, the reading lies anywhere between both sides.
+    """
+    time, moving = recording.run.time, recording.motion.velocity
+    reverses = np.append(moving[:-1] * moving[1:] <= 0.0, False)
+    beside = reverses | np.roll(reverses, 1)
+    motion = motion_between_samples(time, recording.motion, PARTS_OF_READING)
+    path = make_path(subdivide(time, PARTS_OF_READING), *motion, subdivide(current, PARTS_OF_READING))
+    path = replace(path, mains=recording.path.mains).as_warm_as(recording.path).led_in(recording.path.lead_in)
+    force = model.force(theta, path)
+    mean = uniform_filter1d(force, 2 * PARTS_OF_READING + 1, mode="nearest")
+    return np.where(beside, (mean - force)[::PARTS_OF_READING], 0.0)
 
 
 def _error_subdivisions(smoothed: SmoothedRun) -> int:
