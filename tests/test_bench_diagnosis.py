@@ -27,7 +27,7 @@ duration_s: 1.0
 rate_hz: 500.0
 rod: {waveform: sine, amplitude_mm: 8.0, frequency_hz: 1.0}
 """
-FIRST = ("large_random_current", "whole_stroke", "speed_ladder", "steps_at_two_speeds")
+FIRST = ("large_random_current", "whole_stroke_current", "speed_ladder", "steps_at_two_speeds")
 
 Start = Callable[..., subprocess.Popen[str]]
 

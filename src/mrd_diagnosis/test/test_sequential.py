@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError
+from mrd_diagnosis.experiment_design.experiment_library import Sizes, usual_bench
 from mrd_diagnosis.experiment_design.information import expected_information
 from mrd_diagnosis.experiment_design.separation import Separation
 from mrd_diagnosis.report.page import write_gap_report
@@ -89,6 +90,19 @@ def test_the_first_set_is_short_and_within_the_limits_of_a_small_bench():
         assert [planned.experiment.name for planned in plans] == list(FIRST_SET)
         assert sum(planned.duration for planned in plans) < 60.0
         assert all(planned.peaks[0].value <= bench.limits.reach * 1e3 * (1 + 1e-6) for planned in plans)
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [Sizes(motion=3.0), Sizes(current=4.0), Sizes(0.23, 9.4, 0.078), Sizes(3.2, 4.0, 0.005), Sizes(0.3, 0.3, 0.3)],
+    ids=str,
+)
+def test_the_first_set_uses_as_much_of_any_bench_as_of_the_shipped_one(sizes):
+    def used(bench: GeneratorSettings) -> np.ndarray:
+        kinds = ("position", "speed", "largest current", "expected force")
+        return np.array([[p.value / p.limit for p in planned.peaks if p.quantity in kinds] for planned in first_set(bench)])
+
+    assert used(usual_bench(sizes)) == pytest.approx(used(BENCH), rel=1e-6)
 
 
 def test_a_healthy_damper_needs_one_round():

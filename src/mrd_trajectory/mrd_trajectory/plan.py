@@ -181,15 +181,30 @@ def plan(experiment: Experiment, limits: Limits, envelope: ForceEnvelope) -> Pla
 
 
 def plan_scaled(experiment: Experiment, limits: Limits, envelope: ForceEnvelope) -> Plan | None:
-    """Plan an experiment, with motion and current scaled down where they exceed the limits; None if no size fits."""
-    for reductions in range(MOST_SIZES):
-        factor = REDUCTION**reductions
-        rod, coil = _scaled(experiment.rod, factor), _scaled(experiment.coil, factor)
+    """Plan an experiment, with motion and current scaled down where they exceed the limits; None if no size fits.
+
+    Each of the two is reduced as far as it must be: of all pairs of sizes that fit, the one with the fewest reductions.
+    """
+
+    def attempt(of_motion: int, of_current: int) -> Plan | None:
+        rod, coil = _scaled(experiment.rod, REDUCTION**of_motion), _scaled(experiment.coil, REDUCTION**of_current)
         try:
             return plan(dataclasses.replace(experiment, rod=rod, coil=coil), limits, envelope)
         except InputError:
-            continue
-    return None
+            return None
+
+    if fitting := attempt(0, 0):
+        return fitting
+    best, fewest = None, 2 * MOST_SIZES
+    # The smaller the motion, the larger the current that fits.
+    of_current = MOST_SIZES - 1
+    for of_motion in range(MOST_SIZES):
+        planned = attempt(of_motion, of_current)
+        while planned and of_current and (larger := attempt(of_motion, of_current - 1)):
+            planned, of_current = larger, of_current - 1
+        if planned and of_motion + of_current < fewest:
+            best, fewest = planned, of_motion + of_current
+    return best
 
 
 def _scaled(waveform: Waveform, factor: float) -> Waveform:

@@ -1,6 +1,7 @@
 """Plans keep every limit, are continuous and go from rest to rest; the remedies of refusals work."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -402,14 +403,31 @@ def test_an_experiment_beyond_the_limits_is_scaled_down_until_it_fits():
     assert plan_scaled(fitting, LIMITS, ENVELOPE).experiment == fitting
     large = plan_scaled(Experiment("t", 4.0, 100.0, Sine(0.040, 0.2), coil), LIMITS, ENVELOPE)
     assert large.experiment.rod.amplitude == 0.8**2 * 0.040
-    assert large.experiment.coil.level == 0.8**2 * 0.1
+    assert large.experiment.coil == coil
     assert plan_scaled(Experiment("t", 4.0, 100.0, Sine(1.0, 0.2), coil), LIMITS, ENVELOPE) is None
-    levels = Staircase((0.0, 0.2, 0.4), 1.0)
+    levels = Staircase((0.0, 0.05, 0.1), 1.0)
     steps = plan_scaled(Experiment("t", 4.0, 100.0, Triangle(0.010, 1.3 * LIMITS.speed), levels), LIMITS, ENVELOPE)
     factor = steps.experiment.rod.amplitude / 0.010
     assert factor < 1.0
     assert steps.experiment.rod.slope == factor * 1.3 * LIMITS.speed
-    assert steps.experiment.coil.levels == tuple(factor * level for level in levels.levels)
+    assert steps.experiment.coil == levels
+
+
+def test_a_current_beyond_its_limit_leaves_the_motion_as_it_is():
+    rod, coil = Sine(0.010, 0.5), Staircase((0.0, 1.5 * LIMITS.current_max), 1.0)
+    planned = plan_scaled(
+        Experiment("t", 4.0, 100.0, rod, coil), LIMITS, replace(ENVELOPE, yield_slope=1.0, viscosity_slope=0.0)
+    )
+    assert planned.experiment.rod == rod
+    assert planned.experiment.coil.levels == (0.0, 0.8**2 * 1.5 * LIMITS.current_max)
+
+
+def test_a_force_beyond_its_limit_takes_as_few_reductions_as_possible():
+    """Less motion hardly lowers the force of a slow stroke, so the current is reduced alone."""
+    rod, coil = Sine(0.020, 0.1), Constant(0.9 * LIMITS.current_max)
+    planned = plan_scaled(Experiment("t", 10.0, 100.0, rod, coil), LIMITS, ENVELOPE)
+    assert planned.experiment.rod == rod
+    assert planned.experiment.coil.level < coil.level
 
 
 # --- shipped configuration

@@ -25,7 +25,7 @@ DURATION = 12.0
 """Duration in s of an experiment without its repeats."""
 
 LIKE_SHIPPED = 5.0
-"""Ratio of a size to that of the shipped bench and its damper, up to which it is taken for the same."""
+"""Ratio of the scales of a damper to those of the shipped one, up to which its bench is taken for the shipped one."""
 
 
 @dataclass(frozen=True)
@@ -46,18 +46,15 @@ class Sizes:
 
 
 def sizes_of(scales: Scales) -> Sizes:
-    """Return the sizes of experiments for a damper of these scales."""
-    return _rounded(scales.stroke / REFERENCE.stroke, scales.current / REFERENCE.current, scales.force / REFERENCE.force)
+    """Return the sizes of experiments for a damper of these scales. They say what it did, and not what its bench can do."""
+    ratios = scales.stroke / REFERENCE.stroke, scales.current / REFERENCE.current, scales.force / REFERENCE.force
+    return Sizes(*(1.0 if 1.0 / LIKE_SHIPPED <= ratio <= LIKE_SHIPPED else ratio for ratio in ratios))
 
 
 def sizes_of_bench(bench: GeneratorSettings) -> Sizes:
     """Return the sizes of experiments for a bench with these limits."""
     limits, shipped = bench.limits, GeneratorSettings().limits
-    return _rounded(limits.stroke / shipped.stroke, limits.current_max / shipped.current_max, limits.force / shipped.force)
-
-
-def _rounded(*ratios: float) -> Sizes:
-    return Sizes(*(1.0 if 1.0 / LIKE_SHIPPED <= ratio <= LIKE_SHIPPED else ratio for ratio in ratios))
+    return Sizes(limits.stroke / shipped.stroke, limits.current_max / shipped.current_max, limits.force / shipped.force)
 
 
 def usual_bench(sizes: Sizes) -> GeneratorSettings:
@@ -136,7 +133,7 @@ def _candidates(sizes: Sizes) -> Iterator[tuple[str, str, Waveform, Waveform]]:
         )
     whole = Sine(mm(25.8), 1 / 6)
     yield "whole_stroke", "two slow sines over the whole stroke, without current", whole, off
-    yield "whole_stroke_current", "two slow sines over the whole stroke, at random currents", whole, _levels(ma(400), 6)
+    yield "whole_stroke_current", "two slow sines over the whole stroke, at random currents", whole, _levels(ma(500), 6)
     for end, side in (("inner", -1), ("outer", 1)):
         fast = Sine(mm(13), 2.0, side * mm(12.5))
         yield f"fast_{end}", f"fast sine towards the {end} end, without current", fast, off

@@ -5,9 +5,9 @@ from mrd_diagnosis.experiment_design.experiment_library import library, sizes_of
 from mrd_trajectory.plan import Plan
 from mrd_trajectory.settings import GeneratorSettings
 
-FIRST_SET = ("large_random_current", "whole_stroke", "speed_ladder", "steps_at_two_speeds")
+FIRST_SET = ("large_random_current", "whole_stroke_current", "speed_ladder", "steps_at_two_speeds")
 """Experiments of the library that show most effects together: everything at once, with two equal periods that give the
-noise; the whole stroke; slow and fast strokes; steps of the current.
+noise; the whole stroke at all currents; slow and fast strokes; steps of the current.
 """
 
 
