@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError
+from mrd_diagnosis.diagnose import diagnose
 from mrd_diagnosis.experiment_design.experiment_library import Sizes, usual_bench
 from mrd_diagnosis.experiment_design.information import expected_information
 from mrd_diagnosis.experiment_design.separation import Separation
@@ -23,6 +24,7 @@ from mrd_diagnosis.sequential.report import write_sequential_report
 from mrd_diagnosis.sequential.sequential import diagnose_sequentially
 from mrd_runs import Run, read_run
 from mrd_runs.bag_import import write_bag
+from mrd_sim.models import MODELS
 from mrd_sim.simulate import Damper, measure_plans
 from mrd_trajectory.experiment import Experiment
 from mrd_trajectory.plan import Plan, plan
@@ -112,6 +114,24 @@ def test_a_healthy_damper_needs_one_round():
     assert bench.asked == [(1, [FIRST_SET[0]]), (1, list(FIRST_SET[1:]))]
     assert len(outcome.rounds) == 1
     assert outcome.duration == pytest.approx(sum(run.duration for run in outcome.diagnosis.runs))
+
+
+OPEN = {
+    "hysteretic_biviscous": "the sign of its acceleration is not known while the speed is constant",
+    "gamota_filisko": "the fit ends at other stiffnesses of its solid than the true ones",
+}
+"""Models whose healthy damper is not recognised yet, and why."""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(
+    "model", [pytest.param(m, marks=pytest.mark.xfail(strict=True, reason=OPEN[m])) if m in OPEN else m for m in MODELS]
+)
+def test_a_healthy_damper_of_any_model_has_no_gap_around_it(model):
+    values = {p.name: p.default for p in MODELS[model].parameters if p.name != "coil_lag"}
+    runs = SimulatedBench(Damper(model, values), lambda run: run)(1, first_set(BENCH))
+    assert diagnose(runs, model, bench=BENCH).verdict == "no_gap"
 
 
 def test_a_fault_of_the_measurement_ends_it_after_the_first_recording():
