@@ -23,6 +23,7 @@ LEAST_NAMED = 2
 """Of four causes; one of the others is seen, but its size is not determined, so that it is not named."""
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_verdicts_on_a_small_trial_are_no_worse_than_before(tmp_path):
     folder, path, output = tmp_path / "trial", tmp_path / "answers.jsonl", tmp_path / "verdicts"
