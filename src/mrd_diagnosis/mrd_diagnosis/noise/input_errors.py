@@ -69,8 +69,9 @@ def propagated_variance(
         path = replace(path, samples=path.samples[places], mains=recording.path.mains).as_warm_as(recording.path)
         path = path.led_in(recording.path.lead_in)
         squares += recording.as_recorded(model.force(theta, path) - expected) ** 2
-    within_readings = _change_within_reading(recording, model, theta, used)
-    return (squares / draws + recording.as_recorded(within_readings) ** 2)[recording.counted]
+    within_readings = recording.as_recorded(_change_within_reading(recording, model, theta, used))
+    variance: Array = squares / draws + within_readings**2
+    return variance[recording.counted]
 
 
 def _change_within_reading(recording: Recording, model: DamperModel, theta: Array, current: Array) -> Array:
@@ -87,7 +88,7 @@ def _change_within_reading(recording: Recording, model: DamperModel, theta: Arra
     path = replace(path, mains=recording.path.mains).as_warm_as(recording.path).led_in(recording.path.lead_in)
     force = model.force(theta, path)
     mean = uniform_filter1d(force, 2 * PARTS_OF_READING + 1, mode="nearest")
-    return np.where(beside, (mean - force)[::PARTS_OF_READING], 0.0)
+    return np.asarray(np.where(beside, (mean - force)[::PARTS_OF_READING], 0.0))
 
 
 def _error_subdivisions(smoothed: SmoothedRun) -> int:
