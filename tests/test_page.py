@@ -252,7 +252,7 @@ def test_recordings_are_identified_diagnosed_from_the_fit_and_applied(bench: Pag
     page.get_by_text("Start the simulated bench with --plant").first.wait_for()
     assert "joint_play" in report.with_name("plant.yaml").read_text()
     page.get_by_role("button", name="Report").first.click()
-    page.frame_locator("iframe[title=report]").get_by_text("mm (").first.wait_for()
+    page.frame_locator("iframe[title=report]").get_by_text("mm of play").first.wait_for()
     page.get_by_role("button", name="Diagnose").click()
     page.get_by_text("job 3, diagnose: ").wait_for(timeout=ANSWER_TIMEOUT)
     page.get_by_role("button", name="Cancel").click()

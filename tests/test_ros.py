@@ -295,8 +295,8 @@ def test_only_supervisor_and_operator_may_command() -> None:
     assert may("topics", "publish", "setpoint") == {"/bench/generator", "/bench/controller", "/bench/replay"}
     assert may("services", "request") == {"/bench/supervisor", "/bench/operator"}
     assert may("actions", "call") == {"/bench/operator", "/bench/diagnoser"}
-    assert may("actions", "call", "run_set") == {"/bench/operator", "/bench/diagnoser"}
-    assert may("actions", "call", "run_experiment") == {"/bench/operator"}
+    assert may("actions", "call", "run_set") == {"/bench/operator"}
+    assert may("actions", "call", "run_experiment") == {"/bench/operator", "/bench/diagnoser"}
     assert set(enclaves["/bench/observer"]["topics", "publish"]) == {"/rosout", "/parameter_events"}
 
 

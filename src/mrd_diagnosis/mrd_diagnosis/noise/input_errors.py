@@ -44,9 +44,16 @@ WIDTH_OF_SWITCH = 1e-3
 
 
 def propagated_variance(
-    recording: Recording, model: DamperModel, theta: Array, rng: np.random.Generator, draws: int
+    recording: Recording,
+    model: DamperModel,
+    theta: Array,
+    rng: np.random.Generator,
+    draws: int,
+    within_readings: bool = True,
 ) -> Array:
-    """Return the variance in N² of the model's force by errors of motion and current, at the counted samples."""
+    """Return the variance in N² of the model's force by errors of motion and current, at the counted samples; with
+    ``within_readings`` also by what it does within a reading.
+    """
     run, smoothed = recording.run, recording.smoothed
     # What a simulator has beyond the model is the same on all paths, and the disturbed ones do not have it.
     model = replace(model, stands_for="")
@@ -69,8 +76,9 @@ def propagated_variance(
         path = replace(path, samples=path.samples[places], mains=recording.path.mains).as_warm_as(recording.path)
         path = path.led_in(recording.path.lead_in)
         squares += recording.as_recorded(model.force(theta, path) - expected) ** 2
-    within_readings = recording.as_recorded(_change_within_reading(recording, model, theta, used))
-    variance: Array = squares / draws + within_readings**2
+    variance: Array = squares / draws
+    if within_readings:
+        variance += recording.as_recorded(_change_within_reading(recording, model, theta, used)) ** 2
     return variance[recording.counted]
 
 

@@ -52,7 +52,9 @@ def estimate_noise(
     steps = [recording.step for recording in recordings]
     recordings = [recording.whole for recording in recordings]
     items = list(zip(recordings, rng.spawn(len(recordings)), strict=True))
-    propagated = in_threads(lambda item: propagated_variance(item[0], model, theta, item[1], draws), items)
+    # Before and after a change, the same happens within a reading, and is no noise between them.
+    within = not any(recording.without_effects for recording in recordings)
+    propagated = in_threads(lambda item: propagated_variance(item[0], model, theta, item[1], draws, within), items)
     modelled = consecutive_forces(model, theta, recordings)
     # A hum is no noise: it goes on in phase through the whole run.
     residuals = [
