@@ -72,15 +72,15 @@ def simulator_to_wrap(file: str | Path) -> str:
 
 @dataclass(frozen=True)
 class Exported:
-    """What was exported.
+    """The damper that was exported, and what its file is.
 
     Attributes
     ----------
     damper : Damper
     kind : str
-        What the file is.
+        Kind of the file in words, such as its standard and what it carries.
     notes : tuple of str
-        What is to be known of it.
+        Limits of the file that its user must know.
     """
 
     damper: Damper
@@ -146,10 +146,8 @@ def export_damper(
         wrapped = wrapped_simulator(simulator, damper.model, values, damper.plain)
         if fmi is not None and not wrapped.version.startswith(f"FMI {fmi}"):
             raise InputError(f"--fmi is {fmi}: an FMU around {simulator.name} is of its version, {wrapped.version}")
-        content, exported = (
-            wrapped.content,
-            Exported(damper, f"{wrapped.version}, with {simulator.name} inside", wrapped.notes),
-        )
+        content = wrapped.content
+        exported = Exported(damper, f"{wrapped.version}, with {simulator.name} inside", wrapped.notes)
     else:
         content = fmu_archive(damper.model, values, damper.plain, fmi or 2)
         block = f", to be put behind {damper.model.stands_for}" if damper.model.stands_for else ""

@@ -22,7 +22,7 @@ from mrd_sim.simulators.process import ProcessSimulator
 from mrd_sim.simulators.simulator import Simulator
 
 FOLDER = "resources/inner/"
-"""Of the files of the inner FMU."""
+"""Folder in the archive that holds the files of the inner FMU."""
 
 DERIVED = ("velocity", "acceleration")
 """Quantities that follow from the others where the inner FMU does not get them."""
