@@ -43,6 +43,19 @@ def _white_noise_deviation(third_differences: Array, axis: int | None = None) ->
     return np.asarray(1.4826 * np.median(np.abs(third_differences), axis=axis) / np.sqrt(20.0))
 
 
+SHORTEST_REFRESH = 1.2
+"""Samples between new readings; a channel that is refreshed more often repeats some by chance."""
+
+FEWEST_REFRESHES = 20
+"""New readings from which their intervals are compared."""
+
+REGULAR_SHARE = 0.6
+"""Share of the readings that stay equally long, within a sample."""
+
+MOST_IRREGULAR = 0.5
+"""Standard deviation in samples of the places of new readings from a regular grid; rounding to samples alone makes 0.3."""
+
+
 @dataclass(frozen=True)
 class Channel:
     """One measured series of a run.
@@ -62,6 +75,29 @@ class Channel:
     def resolution(self) -> float:
         """Smallest difference between two readings; 0 where they are continuous."""
         return resolution(self.values)
+
+    @cached_property
+    def refresh_period(self) -> float:
+        """Samples between new readings, if they come at regular intervals; otherwise 0.
+
+        The interval may be any number: readings at 100 Hz stay for two and three samples of 250 Hz in turn.
+        """
+        places = np.flatnonzero(np.diff(self.values)) + 1
+        length = np.diff(places)
+        if len(length) < FEWEST_REFRESHES:
+            return 0.0
+        common = np.bincount(length)
+        usual = int(np.argmax(common[1:] + np.append(common[2:], 0))) + 1
+        is_usual = (length == usual) | (length == usual + 1)
+        period = float(length[is_usual].mean())
+        changes = np.abs(self.values[places] - self.values[places - 1])
+        # Noise within one step and a slow signal also repeat readings, but not with large changes at regular intervals.
+        if period < SHORTEST_REFRESH or is_usual.mean() < REGULAR_SHARE or np.median(changes) <= 3 * self.resolution:
+            return 0.0
+        # Two readings may be alike by chance, so that one refresh is not seen.
+        number = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(length / period), 1.0))])
+        line = np.polynomial.Polynomial.fit(number, places, 1)
+        return float(line.deriv()(0.0)) if np.std(places - line(number)) < MOST_IRREGULAR else 0.0
 
     @cached_property
     def smallest_step(self) -> float:

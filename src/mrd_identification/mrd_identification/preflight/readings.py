@@ -21,16 +21,8 @@ COINCIDENCE_PROBABILITY = 1e-6
 """Probability below which equal readings in a row are no coincidence: far below one such case in all runs of a bench."""
 SHORTEST_HOLD = 4
 """Samples; fewer equal readings in a row are always taken for a coincidence."""
-SHORTEST_REFRESH = 1.2
-"""Samples between new readings; a channel that is refreshed more often repeats some by chance."""
 LONGEST_REFRESH = 20
 """Samples; a current that changes more slowly is a command in steps."""
-FEWEST_REFRESHES = 20
-"""New readings from which their intervals are compared."""
-REGULAR_SHARE = 0.6
-"""Share of the readings that stay equally long, within a sample."""
-MOST_IRREGULAR = 0.5
-"""Standard deviation in samples of the places of new readings from a regular grid; rounding to samples alone makes 0.3."""
 COMMANDED_LEVELS = 0.5
 """Number of different readings over the number of holds, up to which a current is a command that steps between levels."""
 USELESS_CLIPPING = 0.01
@@ -99,7 +91,7 @@ def check_held_readings(checked: CheckedRun) -> Iterator[Finding]:
         if not len(first) or np.ptp(values) == 0:
             continue
         length = last - first + 1
-        refresh_period = _refresh_period(channel)
+        refresh_period = channel.refresh_period
         levels = len(np.unique(values[first]))
         steps = refresh_period > LONGEST_REFRESH or levels <= COMMANDED_LEVELS * len(first)
         if channel.name == "current" and (not checked.current_varies or steps):
@@ -127,29 +119,6 @@ def check_held_readings(checked: CheckedRun) -> Iterator[Finding]:
                 f"channel{' and record the run again' if useless else ''}."
             )
             yield checked.finding("gap", "fault" if useless else "limitation", channel.name, text)
-
-
-def _refresh_period(channel: Channel) -> float:
-    """Return the samples between new readings, if those of a channel come at regular intervals; otherwise 0.
-
-    The interval may be any number: readings at 100 Hz stay for two and three samples of 250 Hz in turn.
-    """
-    places = np.flatnonzero(np.diff(channel.values)) + 1
-    length = np.diff(places)
-    if len(length) < FEWEST_REFRESHES:
-        return 0.0
-    common = np.bincount(length)
-    usual = int(np.argmax(common[1:] + np.append(common[2:], 0))) + 1
-    is_usual = (length == usual) | (length == usual + 1)
-    period = float(length[is_usual].mean())
-    changes = np.abs(channel.values[places] - channel.values[places - 1])
-    # Noise within one step and a slow signal also repeat readings, but not with large changes at regular intervals.
-    if period < SHORTEST_REFRESH or is_usual.mean() < REGULAR_SHARE or np.median(changes) <= 3 * channel.resolution:
-        return 0.0
-    # Two readings may be alike by chance, so that one refresh is not seen.
-    number = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(length / period), 1.0))])
-    line = np.polynomial.Polynomial.fit(number, places, 1)
-    return float(line.deriv()(0.0)) if np.std(places - line(number)) < MOST_IRREGULAR else 0.0
 
 
 def _longer_than_coincidence(channel: Channel, first: Indices, last: Indices) -> Mask:
@@ -204,7 +173,7 @@ def check_spikes(checked: CheckedRun) -> Iterator[Finding]:
 def check_clipping(checked: CheckedRun) -> Iterator[Finding]:
     """Find readings that are cut off at the end of a range."""
     for channel in checked.channels.values():
-        if _refresh_period(channel):  # it stays at its extreme as long as anywhere
+        if channel.refresh_period:  # it stays at its extreme as long as anywhere
             continue
         for side, limit in (("highest", channel.values.max()), ("lowest", channel.values.min())):
             # A supply that is off reads about zero.
