@@ -41,4 +41,4 @@ def quantity(value: float, unit: str) -> str:
     # Matplotlib is slow to import.
     from matplotlib.ticker import EngFormatter
 
-    return str(EngFormatter(unit=unit)(float(four_figures(value))))
+    return str(EngFormatter(unit=unit)(float(f"{value:.4g}")))
