@@ -18,6 +18,7 @@ from mrd_diagnosis.fitting.refit import refit
 from mrd_diagnosis.fitting.weighting import Weighting, usual_run_scatter
 from mrd_diagnosis.noise.noise_model import estimate_noise
 from mrd_diagnosis.search.effect_search import score_effect
+from mrd_identification.needs import needs_met
 from mrd_identification.parallel import in_threads
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import prepare_recording
@@ -69,8 +70,9 @@ def candidates(runs: list[Run]) -> Table:
     table = Table("candidate", box=None)
     for title in ("score", "refit and folds left out", "scipy, refit only", "ratio"):
         table.add_column(title, justify="right")
+    met = needs_met(recordings)
     for name, effect in EFFECTS.items():
-        if effect.structural:
+        if effect.structural or not all(met[need] for need in effect.needs):
             continue
         model, neutral = with_effect(base, theta, name)
         problem = weighting.problem(model, neutral)

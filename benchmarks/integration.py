@@ -64,12 +64,12 @@ def _modified(t: float, s: Array, p: Array) -> Array:
 
 
 @njit(cache=True)
-def _speed_of_element(drive: float, c0: float, index: float, c1: float) -> float:
-    """Solve c1 u + c0 u (hypot(u, 1e-4) / 0.1)^(index - 1) = drive by Newton's method, kept within its bracket."""
+def _speed_of_element(drive: float, c0: float, index: float, reference: float, c1: float) -> float:
+    """Solve c1 u + c0 u (hypot(u, 1e-3 r) / r)^(index - 1) = drive by Newton's method, kept within its bracket."""
     low, high = min(0.0, drive / c1), max(0.0, drive / c1)
     u = 0.5 * (low + high)
     for _ in range(100):
-        viscous = c0 * (np.hypot(u, 1e-4) / 0.1) ** (index - 1.0)
+        viscous = c0 * (np.hypot(u, 1e-3 * reference) / reference) ** (index - 1.0)
         balance = (c1 + viscous) * u - drive
         if balance > 0.0:
             high = u
@@ -85,9 +85,10 @@ def _speed_of_element(drive: float, c0: float, index: float, c1: float) -> float
 @njit(cache=True)
 def _shear_thinning(t: float, s: Array, p: Array) -> Array:
     w, u, y = s
-    c1, v = p[9] + p[10] * u, velocity(t)
-    speed = _speed_of_element(c1 * v - (p[0] + p[1] * u) * w - p[11] * (position(t) - y), p[6] + p[7] * u, p[8], c1)
-    return np.array([_state_slope(w, speed, p[4]) / (p[2] + p[3] * u), (current(t) - u) / p[14], v - speed])
+    c1, v = p[10] + p[11] * u, velocity(t)
+    drive = c1 * v - (p[0] + p[1] * u) * w - p[12] * (position(t) - y)
+    speed = _speed_of_element(drive, p[6] + p[7] * u, p[8], p[9], c1)
+    return np.array([_state_slope(w, speed, p[4]) / (p[2] + p[3] * u), (current(t) - u) / p[15], v - speed])
 
 
 def _bouc_wen_force(s: Array, p: Array, x: Array, v: Array) -> Array:
@@ -103,10 +104,10 @@ def _modified_force(s: Array, p: Array, x: Array, v: Array) -> Array:
 
 def _shear_thinning_force(s: Array, p: Array, x: Array, v: Array) -> Array:
     w, u, y = s
-    c1 = p[9] + p[10] * u
-    drive = c1 * v - (p[0] + p[1] * u) * w - p[11] * (x - y)
-    speed = np.array([_speed_of_element(*at) for at in zip(drive, p[6] + p[7] * u, np.full(len(u), p[8]), c1, strict=True)])
-    return c1 * (v - speed) + p[12] * x + p[13]
+    c1 = p[10] + p[11] * u
+    drive = c1 * v - (p[0] + p[1] * u) * w - p[12] * (x - y)
+    speed = np.array([_speed_of_element(d, c0, p[8], p[9], c) for d, c0, c in zip(drive, p[6] + p[7] * u, c1, strict=True)])
+    return c1 * (v - speed) + p[13] * x + p[14]
 
 
 EQUATIONS = {

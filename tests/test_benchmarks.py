@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 FOLDER = Path(__file__).resolve().parents[1] / "benchmarks"
@@ -14,6 +15,30 @@ def test_all_benchmarks_can_be_imported() -> None:
     scripts = ", ".join(sorted(path.stem for path in FOLDER.glob("*.py")))
     done = subprocess.run([sys.executable, "-c", f"import {scripts}"], cwd=FOLDER, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("model_id", ["bouc_wen", "modified_bouc_wen", "shear_thinning_bouc_wen"])
+def test_the_peer_integrates_the_equations_of_the_model(model_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(FOLDER)
+    import common
+    import integration
+
+    from mrd_sim.models import MODELS
+    from mrd_sim.path import make_path
+
+    model = MODELS[model_id]
+    time_s, x, v, i = common.sampled(int(0.5 * common.RATE))
+    ours = model.force(model.defaults, make_path(time_s, x, v, np.gradient(v, time_s), i))
+    peer = integration.with_odeint(model_id, model.defaults, time_s, x, v)
+    assert np.sqrt(np.mean((ours - peer) ** 2)) < 1e-3 * np.std(peer)
+
+
+@pytest.mark.slow
+def test_the_benchmark_of_the_diagnosis_measures_every_candidate(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(FOLDER)
+    import diagnosis
+
+    assert diagnosis.candidates(diagnosis.recorded("moving_mass")).row_count > 20
 
 
 @pytest.mark.slow
