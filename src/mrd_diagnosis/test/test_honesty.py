@@ -122,6 +122,8 @@ def test_a_size_that_trades_with_a_shape_is_not_absent_where_it_closes_the_gap()
     }
     assert rejecting_rule(Claim("hardening_spring", spring, closed_fraction=Interval(0.9, 0.8, 1.0))) is None
     assert rejecting_rule(Claim("hardening_spring", spring, closed_fraction=Interval(0.4, -0.1, 0.7))).id == "neutral"
+    left_out = spring | {"hardening_spring.force": ParameterEstimate(Interval(0.0, 0.0, 97.0), "N")}
+    assert rejecting_rule(Claim("hardening_spring", left_out, closed_fraction=Interval(0.9, 0.8, 1.0))).id == "neutral"
     alone = {"hardening_spring.force": spring["hardening_spring.force"]}
     assert rejecting_rule(Claim("hardening_spring", alone, closed_fraction=Interval(0.9, 0.8, 1.0))).id == "neutral"
 

@@ -108,9 +108,10 @@ def _may_be_absent(claim: Claim) -> bool:
     if not sizes or not all(size.lower <= neutral <= size.upper for size, neutral in sizes):
         return False
     # Size and shape take each other's place: a spring of any force fits with another exponent. Then the interval of the size
-    # alone does not tell whether the effect is there, and what it closes does.
+    # alone does not tell whether the effect is there, and what it closes does, unless the fit itself left the effect out.
     has_shape = len(claim.parameters) > len(sizes)
-    return not (has_shape and claim.closed_fraction.lower > 0.0)
+    left_out = all(size.value == neutral for size, neutral in sizes)
+    return left_out or not (has_shape and claim.closed_fraction.lower > 0.0)
 
 
 def _closes_little(claim: Claim) -> bool:
