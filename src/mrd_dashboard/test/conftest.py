@@ -68,7 +68,7 @@ class NotedCommands:
         progress(2, "recording small_current: running", 0.1, "2 effects may be the cause.")
         request.folder.mkdir(parents=True, exist_ok=True)
         (request.folder / "diagnosis.html").write_text("<h1>Diagnosis on the bench</h1>")
-        why = "Every cause that was found is certain."
+        why = "The cause has a probability of 95 %."
         return BenchDiagnosisOutcome(True, "The force sensor lags by 2 ms.", why, self.ending)
 
     def cancel_diagnosis(self) -> None:

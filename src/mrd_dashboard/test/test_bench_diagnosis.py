@@ -31,7 +31,7 @@ def test_the_queue_waits_while_the_bench_diagnoses_and_goes_on_afterwards(dashbo
         await asyncio.gather(*dashboard.tasks)
         assert not state.running
         assert state.added == ["2 effects may be the cause."]
-        assert state.sentence == "The force sensor lags by 2 ms. Every cause that was found is certain."
+        assert state.sentence == "The force sensor lags by 2 ms. The cause has a probability of 95 %."
         assert dashboard.queue.next() is not None
         (asked,) = commands.asked
         assert (asked.model, asked.budget, asked.bench) == ("bouc_wen", 120.0, dashboard.bench_file)

@@ -22,6 +22,7 @@ from mrd_diagnosis.sequential.first_set import FIRST_SET, first_set
 from mrd_diagnosis.sequential.recorded import folder_of_round, read_recorded, set_aside_incomplete
 from mrd_diagnosis.sequential.report import write_sequential_report
 from mrd_diagnosis.sequential.sequential import diagnose_sequentially
+from mrd_diagnosis.wording.quantities import probability_clause
 from mrd_runs import Run, read_run
 from mrd_runs.bag_import import write_bag
 from mrd_sim.models import MODELS
@@ -163,6 +164,7 @@ def test_what_is_recorded_next_names_the_cause_that_the_first_recordings_leave_o
     assert outcome.duration <= 65.0
     assert [cause.effect for cause in outcome.diagnosis.causes] == [LAG]
     assert outcome.ending == "cause_known"
+    assert outcome.why == f"The cause has {probability_clause(outcome.diagnosis.causes[0].probability)}."
     for of_round in rounds:
         folder = folder_of_round(tmp_path, of_round.number) / "report"
         folder.mkdir(parents=True)

@@ -14,7 +14,7 @@ from mrd_diagnosis.diagnosis import Diagnosis
 from mrd_diagnosis.sequential.first_set import first_set
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.wording.effect_names import effect_name, effect_names
-from mrd_diagnosis.wording.quantities import capitalised, format_probability
+from mrd_diagnosis.wording.quantities import capitalised, format_probability, probability_clause
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.preflight import preflight
 from mrd_runs import Run
@@ -203,7 +203,9 @@ def _ending(diagnosis: Diagnosis, asked: Sequence[Plan], left: float) -> tuple[E
         if advice:
             return "nothing_separates", f"No recording of this bench would separate what is open. {advice.text}"
         if diagnosis.causes:
-            return "cause_known", "Every cause that was found is certain."
+            least = probability_clause(min(cause.probability for cause in diagnosis.causes))
+            found = "The cause" if len(diagnosis.causes) == 1 else "The least likely of the causes"
+            return "cause_known", f"{found} has {least}."
         return "not_in_catalogue", "No effect of the catalogue predicts the recordings better than the model alone."
     duration = sum(planned.duration for planned in asked)
     if duration > left:
@@ -222,7 +224,7 @@ def _added(before: dict[str, float], after: dict[str, float], diagnosis: Diagnos
     if not after:
         return "No effect of the catalogue is likely to be the cause."
     lead, chance = next(iter(after.items()))
-    now = f"a probability of {format_probability(chance)}"
+    now = probability_clause(chance)
     if not before:
         if len(after) == 1:
             return f"One effect may be the cause: {effect_name(lead)}, with {now}."

@@ -69,6 +69,12 @@ def format_probability(value: float) -> str:
     return "< 1 %" if value < 0.01 else "> 99 %" if value > 0.99 else format_share(value)
 
 
+def probability_clause(value: float) -> str:
+    """Return a probability for a sentence: a probability of 88 %, above 99 %, below 1 %."""
+    bound = "above" if value > 0.99 else "below" if value < 0.01 else "of"
+    return f"a probability {bound} {format_probability(value).lstrip('<> ')}"
+
+
 def format_error(ratio: float) -> str:
     """Format an error relative to the standard deviation of the force, in per cent."""
     return f"{_significant(100 * ratio)} %" if math.isfinite(ratio) else "–"
