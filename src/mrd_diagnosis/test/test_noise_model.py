@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mrd_diagnosis.noise.input_errors import propagated_variance
 from mrd_diagnosis.noise.noise_model import estimate_noise
 from mrd_diagnosis.recordings.repetition import repeating_period
 from mrd_diagnosis.sequential.first_set import first_set
@@ -16,6 +17,8 @@ from mrd_sim.damper import Damper
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
 from mrd_sim.simulate import Instruments, measure_plans
+from mrd_trajectory.experiment import parse_experiment
+from mrd_trajectory.plan import plan
 from mrd_trajectory.settings import GeneratorSettings
 
 DAMPER = Damper("bouc_wen")
@@ -111,6 +114,23 @@ def test_a_force_that_jumps_at_a_reversal_leaves_only_noise(model: str) -> None:
     for recording, noise in zip(recordings, noises, strict=True):
         left = (recording.force - recording.modelled(damper.model, damper.theta)) / noise.sigma
         assert rms(left) < 1.2
+
+
+def test_a_force_that_bends_at_a_reversal_is_no_noise() -> None:
+    """What a mass does at the reversals of a triangle is evidence, and no reading lies anywhere between."""
+    text = (
+        "name: fast\nduration_s: 8\nrate_hz: 500\n"
+        "rod: {waveform: triangle, amplitude_mm: 10, slope_mm_per_s: 100}\ncoil: {waveform: constant, level_mA: 200}"
+    )
+    settings = GeneratorSettings()
+    plans = [plan(parse_experiment(text, "fast"), settings.limits, settings.force_envelope)]
+    (run,) = measure_plans(plans, DAMPER, np.random.default_rng(1), instruments=EXACT)
+    recording = prepare_recording(run)
+    with_it, without = (
+        propagated_variance(recording, DAMPER.model, DAMPER.theta, np.random.default_rng(1), 8, within_readings=within)
+        for within in (True, False)
+    )
+    assert (with_it - without).max() < 0.05 * FORCE**2
 
 
 def test_changes_between_few_samples_are_noise() -> None:

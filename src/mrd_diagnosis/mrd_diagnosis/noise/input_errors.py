@@ -84,9 +84,10 @@ def propagated_variance(
 
 def _change_within_reading(recording: Recording, model: DamperModel, theta: Array, current: Array) -> Array:
     """Return by how much the mean of the model's force in N (n,) over the two intervals beside a sample differs from the one
-    at the sample, where the rod reverses within them.
+    at the sample, where the rod reverses within them and the force jumps; at most by as much as it jumps.
 
-    Converters average, filters lag, and where a force jumps at the reversal, the reading lies anywhere between both sides.
+    Converters average, filters lag, and where a force jumps at the reversal, the reading lies anywhere between both sides. A
+    force that bends smoothly is no noise: what a model lacks there, such as a mass, has its evidence in it.
     """
     time, moving = recording.run.time, recording.motion.velocity
     reverses = np.append(moving[:-1] * moving[1:] <= 0.0, False)
@@ -95,8 +96,14 @@ def _change_within_reading(recording: Recording, model: DamperModel, theta: Arra
     path = make_path(subdivide(time, PARTS_OF_READING), *motion, subdivide(current, PARTS_OF_READING))
     path = replace(path, mains=recording.path.mains).as_warm_as(recording.path).led_in(recording.path.lead_in)
     force = model.force(theta, path)
-    mean = uniform_filter1d(force, 2 * PARTS_OF_READING + 1, mode="nearest")
-    return np.asarray(np.where(beside, (mean - force)[::PARTS_OF_READING], 0.0))
+    window = 2 * PARTS_OF_READING + 1
+    change = (uniform_filter1d(force, window, mode="nearest") - force)[::PARTS_OF_READING]
+    # It jumps where it changes by more in a part of a reading than in those one sample before and after.
+    step = np.pad(np.abs(np.diff(force)), PARTS_OF_READING, mode="edge")
+    around = np.maximum(step[: -2 * PARTS_OF_READING], step[2 * PARTS_OF_READING :])
+    jump = np.append(np.maximum(step[PARTS_OF_READING:-PARTS_OF_READING] - around, 0.0), 0.0)
+    jumps = maximum_filter1d(jump, window, mode="nearest")[::PARTS_OF_READING]
+    return np.asarray(np.where(beside, np.clip(change, -jumps, jumps), 0.0))
 
 
 def _error_subdivisions(smoothed: SmoothedRun) -> int:
