@@ -142,20 +142,20 @@ def test_a_simulator_that_hangs_is_ended(tmp_path):
 def test_nothing_runs_on_when_the_bench_is_killed(tmp_path):
     file = write(tmp_path, "import time as clock\ndef force(time):\n    while True: clock.sleep(0.01)\n")
     user = f"""
-    from mrd_sim.simulators.adjusted import AdjustedSimulator
-from mrd_sim.simulators.opening import open_simulator
+    from mrd_sim.simulators.opening import open_simulator
     from mrd_sim.simulators.simulator import Signals
     import numpy as np
     open_simulator({str(file)!r}, limit=60.0).force(Signals(*np.zeros((5, 10))))
     """
-    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(user)])
     find = ["pgrep", "-f", f"worker python {file}"]
-    until = time.monotonic() + 60.0
-    while not subprocess.run(find, capture_output=True, check=False).stdout and time.monotonic() < until:
-        time.sleep(0.1)
-    time.sleep(1.0)
-    process.kill()
-    process.wait()
+    with subprocess.Popen([sys.executable, "-c", textwrap.dedent(user)]) as process:
+        until = time.monotonic() + 60.0
+        while not subprocess.run(find, capture_output=True, check=False).stdout:
+            assert process.poll() is None
+            assert time.monotonic() < until
+            time.sleep(0.1)
+        time.sleep(1.0)
+        process.kill()
     until = time.monotonic() + 20.0
     while subprocess.run(find, capture_output=True, check=False).stdout and time.monotonic() < until:
         time.sleep(0.1)
