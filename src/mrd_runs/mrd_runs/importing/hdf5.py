@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.extras import load_extra
 from mrd_runs.importing.arrays import columns_of
 from mrd_runs.importing.attributes import listed_names, scaling_problem, text_of, texts_of, unit_attribute
-from mrd_runs.importing.extras import load_extra
 from mrd_runs.importing.rates import stated_rate
 from mrd_runs.importing.table import MOST_VALUES, Column, Table
 from mrd_runs.importing.time_of_day import clock_seconds

@@ -2,8 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_trapezoid
-from scipy.signal import find_peaks
 
 Array = NDArray[np.float64]
 
@@ -32,6 +30,10 @@ def integrate_velocity(time: Array, velocity: Array) -> tuple[Array, str]:
     note : str
         What was done.
     """
+    # They take half a second to import, and few recordings hold no position.
+    from scipy.integrate import cumulative_trapezoid
+    from scipy.signal import find_peaks
+
     position = np.asarray(cumulative_trapezoid(velocity, time, initial=0.0))
     stroke = float(np.ptp(position - np.polyval(np.polyfit(time, position, 1), time)))
     turns = np.sort(np.concatenate([find_peaks(sign * position, prominence=0.2 * stroke)[0] for sign in (1, -1)]))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_runs.importing.extras import load_extra
+from mrd_base.extras import load_extra
 from mrd_runs.importing.rates import stated_rate
 from mrd_runs.importing.table import LONGEST_HEAD, Cell, Located, Table, begin_block, locate_table
 from mrd_runs.importing.time_of_day import clock_seconds, has_date

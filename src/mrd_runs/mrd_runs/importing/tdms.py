@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.extras import load_extra
 from mrd_runs.importing.attributes import scaling_problem, unit_attribute
-from mrd_runs.importing.extras import load_extra
 from mrd_runs.importing.quantities import is_time
 from mrd_runs.importing.rates import stated_rate
 from mrd_runs.importing.table import MOST_VALUES, Column, Table

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_runs.importing.extras import load_extra
+from mrd_base.extras import load_extra
 from mrd_sim.simulators.fmu_steps import run_steps
 from mrd_sim.simulators.fmu_variables import SIGNALS, find_variables
 

@@ -4,18 +4,18 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_base.workers import end_with
-from mrd_sim.simulators.fmu_runner import FmuRunner
 from mrd_sim.simulators.messages import read_message, write_message
-from mrd_sim.simulators.python_runner import PythonRunner
 
-RUNNERS: dict[str, type[FmuRunner] | type[PythonRunner]] = {"fmu": FmuRunner, "python": PythonRunner}
+if TYPE_CHECKING:
+    from mrd_sim.simulators.fmu_runner import FmuRunner
+    from mrd_sim.simulators.python_runner import PythonRunner
 
 
 def main() -> None:
@@ -31,11 +31,22 @@ def main() -> None:
     serve(kind, Path(file), json.loads(options), questions, output)
 
 
+def load(kind: str, file: Path, options: dict[str, object]) -> "FmuRunner | PythonRunner":
+    """Load a simulator. What only FMUs need takes a second to import, and each function of the user's would wait for it."""
+    if kind == "fmu":
+        from mrd_sim.simulators.fmu_runner import FmuRunner
+
+        return FmuRunner(file, options)
+    from mrd_sim.simulators.python_runner import PythonRunner
+
+    return PythonRunner(file, options)
+
+
 def serve(kind: str, file: Path, options: dict[str, object], questions: IO[bytes], answers: IO[bytes]) -> None:
     """Load a simulator, say what it is, and answer questions until their stream ends."""
     nothing = np.empty(0)
     try:
-        runner = RUNNERS[kind](file, options)
+        runner = load(kind, file, options)
     except InputError as error:
         write_message(answers, {"error": str(error)}, nothing)
         return

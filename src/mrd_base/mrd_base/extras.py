@@ -1,10 +1,10 @@
-"""Libraries that only some formats need."""
+"""Libraries that only some files need."""
 
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from mrd_base import InputError
+from mrd_base.errors import InputError
 
 
 def load_extra(module: str, package: str, extra: str, path: Path) -> Any:
