@@ -475,7 +475,11 @@ def test_a_stop_in_any_phase_of_a_run_leaves_a_bench_that_runs_again(shared_benc
             if feedback.phase == phase and not answers:
                 answers.append(stop.call_async(Trigger.Request()))
 
-        result = bench.client.run_experiment(SHORT, tmp_path / phase, 0, on_feedback)
+        for number in range(5):  # on a busy machine, the result may come before the feedback of a short phase
+            result = bench.client.run_experiment(SHORT, tmp_path / f"{phase}_{number}", 0, on_feedback)
+            if answers:
+                break
+        assert answers, phase
         assert bench.client.spin(answers[0].done, 20), phase
         # A stop that comes after the last setpoint may find the run complete.
         assert result.message.startswith("cancelled") or (phase in ("stopping", "closing") and result.success), phase
