@@ -151,7 +151,7 @@ class Loop:
     run : str
         Name of the run.
     position, velocity, force : ndarray (n,)
-        Smoothed motion in m and m/s, measured force in N.
+        Smoothed motion in m and m/s, measured force in N; the first sample again closes the loop.
     """
 
     current: float

@@ -91,7 +91,7 @@ def characterise(
     readable = [stroke for level in read for stroke in level]
     if speeds:
         check_speeds(speeds, readable)
-    forces = forces_at_speeds(read, speeds or round_speeds(readable, round_to)) if readable else []
+    forces = forces_at_speeds(read, speeds or round_speeds(read, round_to)) if readable else []
     pairs = slow_pairs(levels[0], fast) if levels else []
     gas, gas_curve = gas_values(pairs, levels[0][0].current if levels else 0.0)
     times, responses, notes = response_values(steps, scale)
@@ -143,15 +143,21 @@ def _at_levels(of_runs: Sequence[Sequence[Stroke]], tolerance: float) -> list[li
 
 
 def _equal_cycles(cycles: Sequence[Cycle]) -> list[list[Cycle]]:
-    """Group cycles of the same current, peak speed and stroke."""
-    return [
-        equal
-        for level in sorted({cycle.current for cycle in cycles})
-        for of_speed in grouped(
-            [c for c in cycles if c.current == level], lambda cycle: cycle.peak_speed, lambda speed: SPEED_GROUP * speed
-        )
-        for equal in grouped(of_speed, lambda cycle: cycle.length, lambda length: STROKE_GROUP * length)
-    ]
+    """Group cycles of the same current, peak speed and stroke: those that are like the slowest cycle of the group."""
+    groups: list[list[Cycle]] = []
+    for cycle in sorted(cycles, key=lambda cycle: (cycle.current, cycle.peak_speed)):
+        # By both at once: slower cycles of another stroke must not part equal ones.
+        like = (group for group in groups if _equal(group[0], cycle))
+        if (group := next(like, None)) is not None:
+            group.append(cycle)
+        else:
+            groups.append([cycle])
+    return groups
+
+
+def _equal(one: Cycle, other: Cycle) -> bool:
+    same_speed = abs(other.peak_speed - one.peak_speed) <= SPEED_GROUP * one.peak_speed
+    return one.current == other.current and same_speed and abs(other.length - one.length) <= STROKE_GROUP * one.length
 
 
 def _loops(groups: Sequence[Sequence[Cycle]]) -> list[Loop]:

@@ -65,18 +65,17 @@ def _energy_and_square(cycle: Cycle) -> tuple[float, float]:
 
 
 def representative_loop(cycles: Sequence[Cycle]) -> Loop:
-    """Return the cycle of a group with the median energy."""
+    """Return the cycle of a group with the median energy, closed as for its energy."""
     energies = [_energy_and_square(cycle)[0] for cycle in cycles]
     cycle = cycles[int(np.argsort(energies)[len(energies) // 2])]
-    motion, samples = cycle.run.motion, cycle.samples
+    motion = cycle.run.motion
+    series = (motion.position, motion.velocity, cycle.run.run.force)
     return Loop(
         cycle.current,
         cycle.peak_speed,
         cycle.length,
         cycle.run.run.name,
-        motion.position[samples],
-        motion.velocity[samples],
-        cycle.run.run.force[samples],
+        *(np.append(one[cycle.samples], one[cycle.samples.start]) for one in series),
     )
 
 

@@ -10,8 +10,9 @@ from plotly.subplots import make_subplots
 
 from mrd_base.figures import LAYOUT
 from mrd_base.linked_plots import COLORS
-from mrd_characterisation.characterisation import QUANTITIES, SAME_CURRENT, Characterisation, Loop
+from mrd_characterisation.characterisation import QUANTITIES, SAME_CURRENT, SAME_SPEED, Characterisation, Loop, Value
 from mrd_characterisation.listing import shown
+from mrd_characterisation.strokes import grouped
 from mrd_characterisation.units import BENCH, View
 
 Array = NDArray[np.float64]
@@ -39,9 +40,10 @@ def force_over_speed(characterisations: Sequence[Characterisation], view: View =
             speed, color = view.unit("m/s").factor * curve.speed, colors(curve.current)
             for branch, width in ((curve.mean, 2.2), (curve.accelerating, 0.7), (curve.decelerating, 0.7)):
                 name = _name(characterisations, one, curve.current)
+                known = np.isfinite(branch)  # few samples leave gaps, over which the line goes on
                 figure.add_scatter(
-                    x=_short(speed),
-                    y=_short(view.force * branch),
+                    x=_short(speed[known]),
+                    y=_short(view.force * branch[known]),
                     mode="lines",
                     name=name,
                     legendgroup=name,
@@ -56,7 +58,8 @@ def energy_over_speed(characterisations: Sequence[Characterisation], view: View 
     """Draw energy per cycle and equivalent viscous damping over the peak speed."""
     figure = make_subplots(rows=1, cols=2, horizontal_spacing=0.12)
     for column, quantity in ((1, "energy_per_cycle"), (2, "equivalent_damping")):
-        _add_values(figure, characterisations, quantity, view, column)
+        # The energy grows with the stroke: between strokes there is no line.
+        _add_values(figure, characterisations, quantity, view, column, of_equal_strokes=quantity == "energy_per_cycle")
         kind = QUANTITIES[quantity]
         figure.update_yaxes(title_text=f"{kind.title}, {view.unit(kind.unit).symbol}", row=1, col=column)
     return _over_speed(figure, view)
@@ -151,13 +154,22 @@ def gas_over_position(characterisations: Sequence[Characterisation], view: View 
 
 
 def _add_values(
-    figure: go.Figure, characterisations: Sequence[Characterisation], quantity: str, view: View, column: int
+    figure: go.Figure,
+    characterisations: Sequence[Characterisation],
+    quantity: str,
+    view: View,
+    column: int,
+    *,
+    of_equal_strokes: bool = False,
 ) -> None:
-    """Add the values of a quantity over speed, one line for each current, direction and characterisation."""
+    """Add the values of a quantity over speed: a line for each current, direction, characterisation (and stroke)."""
     colors = _colors(characterisations)
     for number, one in enumerate(characterisations):
-        lines = _by(one.select(quantity), lambda value: (value.current, value.direction))
-        for (current, direction), values in lines.items():
+        lines = [*_by(one.select(quantity), lambda value: (value.current, value.direction)).values()]
+        if of_equal_strokes:
+            lines = [equal for line in lines for equal in _by_stroke(line)]
+        for values in lines:
+            current, direction = values[0].current, values[0].direction
             numbers = [shown(value, view) for value in values]
             name = _name(characterisations, one, current)
             figure.add_scatter(
@@ -198,6 +210,11 @@ def _colors(characterisations: Sequence[Characterisation], largest: float = 0.0)
 
 def _name(characterisations: Sequence[Characterisation], one: Characterisation, current: float) -> str:
     return f"{one.name}, {current:.3g} A" if len(characterisations) > 1 else f"{current:.3g} A"
+
+
+def _by_stroke(values: Sequence[Value]) -> list[list[Value]]:
+    groups = grouped(values, lambda value: value.stroke or 0.0, lambda stroke: SAME_SPEED * stroke)
+    return [sorted(group, key=lambda value: value.speed or 0.0) for group in groups]
 
 
 def _by(items: Sequence[Any], key: Any) -> dict[Any, list[Any]]:

@@ -33,8 +33,8 @@ DROP = 0.05
 SAME_PLATEAU = 0.02
 """Relative difference up to which a stroke of constant speed shows the force at a speed."""
 
-SPEED_BINS = 40
-"""Points of a curve of force over speed."""
+SPEED_BINS, SAMPLES_OF_BIN = 40, 3
+"""Most points of a curve of force over speed; samples of a branch for each, below which there are fewer points."""
 
 PEAK_FORCE = (
     "Largest force of a stroke in the direction that resists the motion, averaged over 1 % of the samples of the stroke; "
@@ -92,26 +92,36 @@ def mean_force(stroke: Stroke) -> float:
     return float(trapezoid(stroke.force, stroke.position) / (stroke.position[-1] - stroke.position[0]))
 
 
-def round_speeds(strokes: Sequence[Stroke], unit: float = 1e-3) -> list[float]:
+def round_speeds(levels: Sequence[Sequence[Stroke]], unit: float = 1e-3) -> list[float]:
     """Return speeds in m/s at which strokes show the force: 1, 2 and 5 times powers of ten of ``unit``, and constant ones.
+
+    A round speed counts where strokes of both directions show it at the same current.
 
     Parameters
     ----------
-    strokes : sequence of Stroke
+    levels : sequence of sequences of Stroke
+        The strokes of each current.
     unit : float
         m/s in which the speeds are round.
     """
+    strokes = [stroke for level in levels for stroke in level]
     reach = [_reach(stroke) for stroke in strokes]
     least, most = min(low for low, _ in reach), max(high for _, high in reach)
     decades = range(math.floor(math.log10(least / unit)), math.ceil(math.log10(most / unit)) + 1)
     series = [digit * 10.0**decade * unit for decade in decades for digit in (1, 2, 5)]
-    speeds = [speed for speed in series if any(low <= speed <= high for low, high in reach)]
+    speeds = [speed for speed in series if any(_shows(level, speed) for level in levels)]
     constant = [stroke.peak_speed for stroke in strokes if stroke.constant_speed]
     for group in grouped(constant, float, lambda speed: SAME_SPEED * speed):
         middle = float(np.median(group))
         if not any(abs(speed - middle) <= SAME_SPEED * middle for speed in speeds):
             speeds.append(rounded(middle, SAME_SPEED * middle))
     return sorted(speeds)
+
+
+def _shows(level: Sequence[Stroke], speed: float) -> bool:
+    """Return whether strokes of one current show the force at a speed in m/s in all directions that there are."""
+    shown = {stroke.direction for stroke in level if _reach(stroke)[0] <= speed <= _reach(stroke)[1]}
+    return bool(shown) and shown == {stroke.direction for stroke in level}
 
 
 def _reach(stroke: Stroke) -> tuple[float, float]:
@@ -228,11 +238,11 @@ def curve_of(strokes: Sequence[Stroke]) -> Curve | None:
         return None
     fastest = max(stroke.peak_speed for stroke, _ in curved)
     chosen = [(stroke, branches) for stroke, branches in curved if stroke.peak_speed >= (1.0 - SAME_SPEED) * fastest]
-    edges = np.linspace(0.0, fastest, SPEED_BINS + 1)
+    both = [[np.concatenate([branches[number][part] for _, branches in chosen]) for part in range(2)] for number in range(2)]
+    fewest = min(len(speeds) for speeds, _ in both)
+    edges = np.linspace(0.0, fastest, min(SPEED_BINS, max(1, fewest // SAMPLES_OF_BIN)) + 1)
     means = []
-    for number in range(2):
-        speeds = np.concatenate([branches[number][0] for _, branches in chosen])
-        forces = np.concatenate([branches[number][1] for _, branches in chosen])
+    for speeds, forces in both:
         counts = np.histogram(speeds, edges)[0]
         with np.errstate(invalid="ignore"):
             means.append(np.histogram(speeds, edges, weights=forces)[0] / counts)

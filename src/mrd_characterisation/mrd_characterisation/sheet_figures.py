@@ -96,10 +96,10 @@ def _figure(over: str, over_unit: str, title: str, view: View, height: int) -> "
 
 def _add(figure: "go.Figure", over: Array, force: Array, name: str, style: dict[str, str], named: bool, mode: str) -> None:
     """Add a line in the units shown; one that is ``named`` already does not get into the legend again."""
-    step = max(1, len(over) // MOST_POINTS)
+    places = np.unique(np.linspace(0, len(over) - 1, MOST_POINTS).astype(int))
     figure.add_scatter(
-        x=over[::step],
-        y=force[::step],
+        x=over[places],
+        y=force[places],
         mode=mode,
         name=name,
         showlegend=not named,

@@ -9,6 +9,8 @@ import pytest
 from mrd_base import InputError
 from mrd_characterisation import QUANTITIES, Characterisation, Value, characterise
 from mrd_characterisation.cycles import dynamic_ranges
+from mrd_characterisation.figures import energy_over_speed, force_over_speed
+from mrd_characterisation.force_speed import DIRECTIONS
 
 
 def drawn(damper, seed):
@@ -188,6 +190,49 @@ def test_currents_within_the_noise_of_the_sensor_are_one(simulated_damper):
     found = characterise(runs)
     assert found.currents == pytest.approx([0.4], abs=1e-3)
     assert found.select("energy_per_cycle")[0].runs == 3
+
+
+def test_equal_cycles_are_one_group_whatever_the_speeds_of_other_strokes(simulated_damper):
+    """A shorter stroke is a little slower, and the limit of its group lies within the speeds of the longer one."""
+    longer = replace(simulated_damper, stroke=1.1 * simulated_damper.stroke)
+    runs = [longer.sine(f"r{k}", speed, 0.4, seed=k) for k, speed in enumerate((0.103, 0.105, 0.107))]
+    values = characterise([simulated_damper.sine("short", 0.1, 0.4), *runs]).select("energy_per_cycle")
+    assert [(value.runs, value.stroke) for value in values] == [
+        (1, pytest.approx(0.020, rel=0.02)),
+        (3, pytest.approx(0.022, rel=0.02)),
+    ]
+
+
+def test_a_round_speed_is_one_that_both_directions_show(simulated_damper):
+    """At the slow end of what the strokes show, the direction that is a little faster does not show it any more."""
+    time = np.arange(5000) / 1000.0
+    phase = 2.0 * np.pi * time
+    position = 0.2 / (2.0 * np.pi) * (np.sin(phase) + 0.0025 * np.sin(2.0 * phase))
+    found = characterise(simulated_damper.record("sine", position, np.zeros(len(time))))
+    speeds = {direction: [v.speed for v in found.select("force_at_speed", direction=direction)] for direction in DIRECTIONS}
+    assert speeds == {direction: [0.1] for direction in DIRECTIONS}
+
+
+def test_loops_are_closed_and_energies_of_other_strokes_are_not_joined(simulated_damper):
+    short = replace(simulated_damper, stroke=0.5 * simulated_damper.stroke)
+    sines = [damper.sine(f"{k}", speed, 0.4) for k, damper in enumerate((simulated_damper, short)) for speed in (0.1, 0.2)]
+    found = characterise(sines)
+    assert len(found.loops) == 4
+    for loop in found.loops:
+        assert (loop.position[-1], loop.force[-1]) == (loop.position[0], loop.force[0])
+    energies, dampings = (
+        [trace.x for trace in energy_over_speed([found]).data if trace.yaxis == axis] for axis in ("y", "y2")
+    )
+    assert energies == [pytest.approx([100.0, 200.0], rel=0.02)] * 2
+    assert [len(speeds) for speeds in dampings] == [4]
+
+
+def test_a_curve_of_few_samples_has_no_gaps(simulated_damper):
+    run = simulated_damper.sine("a", 0.2, 0.4)
+    slow = {name: getattr(run, name)[::10] for name in ("time", "position", "current", "force", "velocity")}
+    curves = force_over_speed([characterise(replace(run, acceleration=None, **slow))]).data
+    assert len(curves) == 6
+    assert all(None not in curve.y and len(curve.y) > 5 for curve in curves)
 
 
 def test_summary_and_notebook_name_values_and_limitations(found):
