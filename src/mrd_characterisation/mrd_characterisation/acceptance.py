@@ -63,6 +63,16 @@ class Check:
             return math.nan
         return max(self.value.value - self.limit.upper, 0.0) + min(self.value.value - self.limit.lower, 0.0)
 
+    @property
+    def severity(self) -> float:
+        """The excess over half the width of the band, or over the limit where the band is open; 0 within the limits."""
+        lower, upper = self.limit.lower, self.limit.upper
+        width = 0.5 * (upper - lower)
+        scale = width if math.isfinite(width) else min(abs(lower), abs(upper))
+        if self.value is None or not self.excess:
+            return 0.0
+        return abs(self.excess) / scale if scale else math.inf
+
     def why(self, view: View = BENCH) -> str:
         """Return what keeps it from passing; empty where it passes."""
         unit = self.limit.unit
@@ -114,6 +124,15 @@ class Acceptance:
         listed = ", ".join(f"{counts[outcome]} {words[outcome]}" for outcome in OUTCOMES if counts[outcome])
         verdict = {"pass": "passes", "fail": "fails", "not_decided": "is not decided"}[self.verdict]
         return f"{self.test.serial} {verdict} against {self.reference}: of {len(self.checks)} numbers, {listed}."
+
+    def worst_sentence(self, view: View = BENCH) -> str:
+        """Return which of the failed numbers lies furthest beyond its limits; empty where none failed."""
+        failed = [check for check in self.checks if check.outcome == "fail"]
+        if not failed:
+            return ""
+        worst = max(failed, key=lambda check: check.severity)
+        _, title, at, value, _, limits, _ = check_row(worst, view)
+        return f"Furthest out: {title}{f' ({at})' if at else ''} is {value}, allowed {limits}."
 
     @property
     def by_outcome(self) -> list[Check]:

@@ -3,7 +3,7 @@
 import base64
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,8 +59,8 @@ class Sheet:
     head : tuple of str
     rows : tuple of tuple of str
         The table.
-    more : str
-        What the table leaves out; empty where it is complete.
+    left_out : int
+        Numbers that the table leaves out.
     logo : str
         Data URI of a picture; empty for none.
     """
@@ -72,9 +72,18 @@ class Sheet:
     plots: "tuple[go.Figure, ...]"
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    more: str = ""
+    left_out: int = 0
     logo: str = ""
     footer: str = field(default_factory=lambda: f"Written by mrd {VERSION} on {datetime.now():%Y-%m-%d %H:%M}")
+
+    @property
+    def more(self) -> str:
+        """What the table leaves out, in words; empty where it is complete."""
+        return f"{self.left_out} more numbers stand in the file beside this sheet." if self.left_out else ""
+
+    def shortened(self, rows: int) -> "Sheet":
+        """Return the sheet with the first rows of the table only."""
+        return replace(self, rows=self.rows[:rows], left_out=self.left_out + max(0, len(self.rows) - rows))
 
 
 def make_sheet(
@@ -117,7 +126,7 @@ def make_sheet(
     if acceptance:
         head: tuple[str, ...] = ("verdict", "number", "at", "value", "95 % interval", "limits", "why")
         rows = [check_row(check, view) for check in acceptance.by_outcome]
-        sentence = acceptance.sentence
+        sentence = " ".join(filter(None, (acceptance.sentence, acceptance.worst_sentence(view))))
     else:
         head = ("number", "at", "value", "95 % interval", "cycles")
         rows = [_value_row(value, view) for name, most in _SHOWN.items() for value in _telling(damper.select(name), most)]
@@ -142,7 +151,7 @@ def make_sheet(
         ),
         head,
         tuple(rows[:MOST_ROWS]),
-        f"{left_out} more numbers stand in the file beside this sheet." if left_out > 0 else "",
+        max(left_out, 0),
         _data_uri(Path(logo)) if logo else "",
     )
 

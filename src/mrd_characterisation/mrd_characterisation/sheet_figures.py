@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base.drawing import COLORS
-from mrd_characterisation.characterisation import Characterisation, Loop
+from mrd_characterisation.characterisation import SAME_CURRENT, Characterisation, Loop
 from mrd_characterisation.units import BENCH, View
 
 if TYPE_CHECKING:
@@ -23,25 +23,32 @@ _DASHES = ("solid", "dash", "dot", "dashdot")
 MOST_POINTS = 300
 """Points of a loop; a sheet shows no more."""
 
+LONGEST_NAME = 22
+"""Characters of a name in the legend; of a longer one the middle is left out, since serial numbers differ at their end."""
+
+_GREY = "#7b8794"
+
 
 def force_over_speed(characterisations: Sequence[Characterisation], view: View = BENCH) -> "go.Figure":
     """Return peak force over peak speed: rebound to the right, compression to the left, both as the bench signs them."""
-    figure = _figure("peak speed", "m/s", "peak force", view, 250)
+    figure = _figure("peak speed", "m/s", "peak force", view, 240)
     for name, current, style, one in _lines(characterisations):
         found = one.select("peak_force", current=current)
-        drawn = False
+        drawn = not name
         for direction, sign in (("rebound", 1.0), ("compression", -1.0)):
             points = sorted((sign * (v.speed or 0.0), v.value) for v in found if v.direction == direction)
             if points:
                 speeds, forces = np.transpose(points)
                 _add(figure, view.velocity * speeds, view.force * forces, name, style, drawn, "lines+markers")
                 drawn = True
+    for name, dash in _dashes_of_currents(characterisations):
+        figure.add_scatter(x=[None], y=[None], mode="lines", name=name, line={"color": _GREY, "width": 1.5, "dash": dash})
     return figure
 
 
 def force_over_position(characterisations: Sequence[Characterisation], view: View = BENCH) -> "go.Figure":
     """Return the force over the position in the fastest recorded cycle of each current."""
-    figure = _figure("position", "m", "force", view, 210)
+    figure = _figure("position", "m", "force", view, 200)
     for name, loop, style in _fastest(characterisations):
         _add(figure, view.position * loop.position, view.force * loop.force, name, style, True, "lines")
     return figure
@@ -49,14 +56,14 @@ def force_over_position(characterisations: Sequence[Characterisation], view: Vie
 
 def force_over_velocity(characterisations: Sequence[Characterisation], view: View = BENCH) -> "go.Figure":
     """Return the force over the velocity in the fastest recorded cycle of each current."""
-    figure = _figure("velocity", "m/s", "force", view, 210)
+    figure = _figure("velocity", "m/s", "force", view, 200)
     for name, loop, style in _fastest(characterisations):
         _add(figure, view.velocity * loop.velocity, view.force * loop.force, name, style, True, "lines")
     return figure
 
 
 def _lines(characterisations: Sequence[Characterisation]) -> Iterator[tuple[str, float, dict[str, str], Characterisation]]:
-    """Yield name, current, style and damper of each line.
+    """Yield name in the legend, current, style and damper of each line; a name that is empty stands there already.
 
     Colours tell currents apart; of several dampers, colours tell these apart, and dashes the smallest and largest current.
     """
@@ -67,8 +74,25 @@ def _lines(characterisations: Sequence[Characterisation]) -> Iterator[tuple[str,
         for place, current in enumerate(currents):
             color = _COLORS[(number if several else place) % len(_COLORS)]
             dash = _DASHES[(place if several else 0) % len(_DASHES)]
-            name = f"{one.name}, {current:.3g} A" if several else f"{current:.3g} A"
+            name = "" if several and place else _short_name(one.name) if several else f"{current:.3g} A"
             yield name, current, {"color": color, "dash": dash}, one
+
+
+def _short_name(name: str) -> str:
+    half = LONGEST_NAME // 2
+    return name if len(name) <= LONGEST_NAME else f"{name[: half - 1]}…{name[-half:]}"
+
+
+def _dashes_of_currents(characterisations: Sequence[Characterisation]) -> list[tuple[str, str]]:
+    """Return name and dash of the smallest and the largest current of several dampers; none where each has a single one."""
+    ends = [(one.currents[0], one.currents[-1]) for one in characterisations if len(one.currents) > 1]
+    if len(characterisations) < 2 or not ends:
+        return []
+    same = SAME_CURRENT * max(largest for _, largest in ends)
+    names = []
+    for values, word in zip(zip(*ends, strict=True), ("smallest current", "largest current"), strict=True):
+        names.append(f"{values[0]:.3g} A" if max(values) - min(values) <= same else word)
+    return [*zip(names, _DASHES, strict=False)]
 
 
 def _fastest(characterisations: Sequence[Characterisation]) -> Iterator[tuple[str, Loop, dict[str, str]]]:

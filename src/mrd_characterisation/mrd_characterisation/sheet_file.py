@@ -31,6 +31,9 @@ LONGEST_TEMPLATE = 2**20
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 
+FEWER_ROWS = (12, 9, 6, 3, 0)
+"""Rows of the table that are tried in turn where the page does not hold all, as below a long head or legend."""
+
 PATIENCE = 60.0
 """s that a browser may take to print a page; it takes about two."""
 
@@ -38,6 +41,12 @@ PATIENCE = 60.0
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; font-src data:"
 
 _PIXEL = 25.4 / 96.0  # mm
+
+LOOK: dict[Any, Any] = {"font.size": 8.0, "pdf.fonttype": 42, "font.family": "DejaVu Sans", "text.parse_math": False}
+"""Settings of Matplotlib."""
+
+# Of a sheet that Matplotlib draws, in inches: its margin, room for the numbers of an axis, a line of text, the table.
+EDGE, LEFT, LINE, TABLE = 0.45, 0.95, 0.16, 3.3
 
 
 def write_sheet(sheet: Sheet, folder: str | Path, *, paper: str = "a4", template: str | Path | None = None) -> list[Path]:
@@ -60,13 +69,30 @@ def write_sheet(sheet: Sheet, folder: str | Path, *, paper: str = "a4", template
     if paper not in PAPERS:
         raise InputError(f"--paper is {paper}, expected one of {', '.join(PAPERS)}")
     page, pdf = Path(folder) / "sheet.html", Path(folder) / "sheet.pdf"
-    _replace(page, render_sheet(sheet, paper, template).encode())
+    content = render_sheet(sheet, paper, template).encode()
     with tempfile.TemporaryDirectory() as scratch:
-        printed = Path(scratch) / "sheet.pdf"
-        if not _print_by_browser(page, printed):
+        source, printed = Path(scratch) / "sheet.html", Path(scratch) / "sheet.pdf"
+        source.write_bytes(content)
+        if _print_by_browser(source, printed):
+            document = printed.read_bytes()
+            for rows in FEWER_ROWS:
+                if _pages(document) == 1 or rows >= len(sheet.rows):
+                    continue
+                shorter = render_sheet(sheet.shortened(rows), paper, template).encode()
+                source.write_bytes(shorter)
+                if _print_by_browser(source, printed) and _pages(printed.read_bytes()) == 1:
+                    content, document = shorter, printed.read_bytes()
+        else:
             _print_by_matplotlib(sheet, paper, printed)
-        _replace(pdf, printed.read_bytes())
+            document = printed.read_bytes()
+    _replace(page, content)
+    _replace(pdf, document)
     return [page, pdf]
+
+
+def _pages(pdf: bytes) -> int:
+    """Return the number of pages of a PDF that a browser has printed."""
+    return len(re.findall(rb"/Type ?/Page\b", pdf))
 
 
 def _replace(path: Path, content: bytes) -> None:
@@ -153,51 +179,89 @@ def _print_by_matplotlib(sheet: Sheet, paper: str, pdf: Path) -> None:
     """Draw the same content as a PDF; the template and the logo count for the page only."""
     # Matplotlib is slow to import, and a browser is the usual way.
     import matplotlib as mpl
+
+    with mpl.rc_context(LOOK):
+        draw_sheet(sheet, paper).savefig(pdf, format="pdf")
+
+
+def draw_sheet(sheet: Sheet, paper: str) -> Any:
+    """Return a sheet as a figure of Matplotlib."""
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
     from matplotlib.figure import Figure
 
-    _, width, height = PAPERS[paper]
-    with mpl.rc_context({"font.size": 8.0, "pdf.fonttype": 42, "font.family": "DejaVu Sans", "text.parse_math": False}):
-        figure = Figure(figsize=(width / 25.4, height / 25.4))
-        FigureCanvasPdf(figure)
-        edges = {"left": 0.1, "right": 0.96, "top": 0.97, "bottom": 0.03}
-        grid = figure.add_gridspec(4, 2, height_ratios=(2.4, 5.0, 4.6, 7.5), hspace=0.35, wspace=0.3, **edges)
-        _draw_head(figure.add_subplot(grid[0, :]), sheet)
-        for place, plot in zip((grid[1, :], grid[2, 0], grid[2, 1]), sheet.plots, strict=True):
-            axes = figure.add_subplot(place)
-            for trace in plot.data:
-                dash = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}[trace.line.dash or "solid"]
-                marker = "o" if "markers" in trace.mode else ""
-                label = trace.name if trace.showlegend else None
-                style = {"color": trace.line.color, "marker": marker, "markersize": 3, "linewidth": 1.2}
-                axes.plot(trace.x, trace.y, dash, label=label, **style)
-            axes.set_xlabel(plot.layout.xaxis.title.text)
-            axes.set_ylabel(plot.layout.yaxis.title.text)
-            axes.grid(color="#e4e7eb")
-            if any(trace.showlegend for trace in plot.data):
-                axes.legend(fontsize=6, frameon=False)
-        _draw_table(figure.add_subplot(grid[3, :]), sheet)
-        figure.savefig(pdf, format="pdf")
+    _, *sides = PAPERS[paper]
+    width, height = (side / 25.4 for side in sides)
+    figure = Figure(figsize=(width, height))
+    FigureCanvasPdf(figure)
+    top = _draw_head(figure, sheet, width, height)
+    columns, names = _legend(sheet)
+    top -= LINE * -(-names // columns)
+    # Above the table the first plot has the upper half, the two others have the lower one; beneath each are four lines.
+    bottom = TABLE + 4 * LINE
+    half, across = 0.5 * (top - bottom), 0.5 * (width - LEFT - EDGE)
+    places = (
+        (LEFT, bottom + half, 2 * across, half - LINE),
+        (LEFT, bottom, across - LEFT, half - 4 * LINE),
+        (LEFT + across, bottom, across, half - 4 * LINE),
+    )
+    for place, plot in zip(places, sheet.plots, strict=True):
+        axes = figure.add_axes((place[0] / width, place[1] / height, place[2] / width, place[3] / height))
+        _draw_plot(axes, plot)
+        if plot is sheet.plots[0] and names:
+            axes.legend(fontsize=6, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
+    edges = (EDGE / width, 0.0, (width - 2 * EDGE) / width, TABLE / height)
+    _draw_table(figure.add_axes(edges), sheet, EDGE / TABLE)
+    return figure
 
 
-def _draw_head(axes: Any, sheet: Sheet) -> None:
+def _draw_plot(axes: Any, plot: Any) -> None:
+    for trace in plot.data:
+        dash = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}[trace.line.dash or "solid"]
+        marker = "o" if "markers" in trace.mode else ""
+        label = None if trace.showlegend is False else trace.name
+        style = {"color": trace.line.color, "marker": marker, "markersize": 3, "linewidth": 1.2}
+        x, y = ([float("nan") if value is None else value for value in series] for series in (trace.x, trace.y))
+        axes.plot(x, y, dash, label=label, **style)
+    axes.set_xlabel(plot.layout.xaxis.title.text)
+    axes.set_ylabel(plot.layout.yaxis.title.text)
+    axes.grid(color="#e4e7eb")
+
+
+def _legend(sheet: Sheet) -> tuple[int, int]:
+    """Return the columns of the legend that have room beside each other, and the number of its names."""
+    names = [trace.name for trace in sheet.plots[0].data if trace.showlegend is not False]
+    return max(1, 130 // (max(map(len, names), default=1) + 10)), len(names)
+
+
+def _draw_head(figure: Any, sheet: Sheet, width: float, height: float) -> float:
+    """Write serial number, fields and verdict; return the height in inches that is left beneath."""
+    top = height - EDGE
+    fields = "    ".join(f"{name}: {text}" for name, text in sheet.fields)
+    word = VERDICTS[sheet.verdict]
+    indent = 1.6 if word else 0.0
+    large = {"fontsize": 16.0, "fontweight": "bold"} if len(sheet.serial) <= 40 else {"fontsize": 9.0, "fontweight": "bold"}
+    verdict = {"fontsize": 13.0, "fontweight": "bold", "color": COLORS[sheet.verdict]}
+    for text, most, shift, style in (
+        (sheet.serial, 90, 0.0, large),
+        (fields, 120, 0.0, {}),
+        (sheet.sentence, 95, indent, {}),
+    ):
+        lines = textwrap.wrap(text, most)
+        if shift:
+            figure.text(EDGE / width, top / height, word, va="top", **verdict)
+        figure.text((EDGE + shift) / width, top / height, "\n".join(lines), va="top", **style)
+        top -= max(len(lines) * 1.4 * style.get("fontsize", 8.0) / 72.0, 2 * LINE if shift else 0.0) + 0.5 * LINE
+    return top
+
+
+def _draw_table(axes: Any, sheet: Sheet, foot: float) -> None:
     axes.axis("off")
-    axes.text(0.0, 1.0, sheet.serial, fontsize=16, fontweight="bold", va="top")
-    lines = textwrap.wrap("    ".join(f"{name}: {text}" for name, text in sheet.fields), 120)
-    axes.text(0.0, 0.62, "\n".join(lines), va="top")
-    axes.text(0.0, 0.0, VERDICTS[sheet.verdict], fontsize=13, fontweight="bold", color=COLORS[sheet.verdict], va="bottom")
-    sentence = "\n".join(textwrap.wrap(sheet.sentence, 90))
-    axes.text(0.2 if sheet.verdict else 0.0, 0.0, sentence, va="bottom")
-
-
-def _draw_table(axes: Any, sheet: Sheet) -> None:
-    axes.axis("off")
+    axes.text(0.0, foot, f"{sheet.more} {sheet.footer}.".strip(), fontsize=6, va="top")
     if not sheet.rows:
         return
     longest = [max(len(cell) for cell in column) for column in zip(sheet.head, *sheet.rows, strict=True)]
     widths = [length / sum(longest) for length in longest]
-    look: dict[str, Any] = {"loc": "upper left", "cellLoc": "left", "edges": "horizontal"}
+    look: dict[str, Any] = {"loc": "upper left", "cellLoc": "left", "colLoc": "left", "edges": "horizontal"}
     table = axes.table(cellText=sheet.rows, colLabels=sheet.head, colWidths=widths, **look)
     table.auto_set_font_size(False)
     table.set_fontsize(6 if sum(longest) < 150 else 5)
-    axes.text(0.0, -0.02, f"{sheet.more} {sheet.footer}.".strip(), fontsize=6, va="top")

@@ -4,15 +4,17 @@ import re
 import shutil
 from dataclasses import replace
 
+import matplotlib as mpl
 import pytest
 
 from mrd_base import InputError
 from mrd_characterisation import characterise, sheet_file
 from mrd_characterisation.acceptance import accept
 from mrd_characterisation.damper_test import DamperTest
-from mrd_characterisation.limits import golden_limits
+from mrd_characterisation.limits import Limit, golden_limits
 from mrd_characterisation.page import write_page
 from mrd_characterisation.sheet import MOST_ROWS, make_sheet
+from mrd_characterisation.sheet_figures import LONGEST_NAME
 from mrd_characterisation.sheet_file import BROWSERS, render_sheet, write_sheet
 from mrd_characterisation.units import View
 
@@ -87,12 +89,94 @@ def test_units_and_fields_are_those_of_the_reader(damper, tmp_path):
             make_sheet([damper], TEST, logo=tmp_path / bad)
 
 
-def test_ten_dampers_fit_on_a_sheet_and_eleven_do_not(damper):
-    ten = make_sheet([replace(damper, name=f"SN-{k}") for k in range(10)], TEST)
-    colors = {trace.line.color for trace in ten.plots[0].data}
-    assert len(colors) == 10
+LONG = "SN-2026-05-31 " * 6
+"""A serial number of almost the largest length."""
+
+
+@pytest.fixture(scope="module")
+def full(damper):
+    """A sheet with all that takes room: ten dampers with long names, a long serial number, many fields, a full table."""
+    stronger = [replace(v, lower=1.2 * v.lower, upper=1.2 * v.upper, value=1.2 * v.value) for v in damper.values]
+    test = replace(TEST, serial=LONG.strip())
+    acceptance = accept(damper, golden_limits(stronger, 0.1), test, reference="the golden damper of 12 runs within 10 %")
+    dampers = [replace(damper, name=f"{LONG}{k}") for k in range(10)]
+    fields = {f"Field {k}": "a text of about forty characters or more" for k in range(8)}
+    return make_sheet(dampers, test, acceptance, fields=fields)
+
+
+def test_ten_dampers_fit_on_a_sheet_and_eleven_do_not(damper, full):
+    drawn = full.plots[0].data
+    assert len({trace.line.color for trace in drawn if trace.x[0] is not None}) == 10
+    # Each damper stands in the legend once, and so does each dash.
+    names = [trace.name for trace in drawn if trace.showlegend is not False]
+    assert len(names) == len(set(names)) == 12
+    assert max(map(len, names)) <= LONGEST_NAME
+    assert names[-2:] == ["0 A", "1 A"]
     with pytest.raises(InputError, match="expected 1 to 10"):
         make_sheet([damper] * 11, TEST)
+
+
+@pytest.mark.skipif(not any(map(shutil.which, BROWSERS)), reason="no browser")
+@pytest.mark.parametrize("paper", ["a4", "letter"])
+def test_a_sheet_with_all_that_takes_room_is_one_page(full, tmp_path, paper):
+    page, pdf = write_sheet(full, tmp_path, paper=paper)
+    assert pages_and_size(pdf)[0] == 1
+    shown = page.read_text().count("<tr>") - 1
+    assert 0 < shown <= len(full.rows)
+    assert f"{full.left_out + len(full.rows) - shown} more numbers stand in the file" in page.read_text()
+
+
+@pytest.mark.skipif(not any(map(shutil.which, BROWSERS)), reason="no browser")
+def test_nothing_of_the_table_lies_beyond_the_paper(sheet, full, tmp_path):
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        executable = next(filter(None, map(shutil.which, BROWSERS)))
+        browser = playwright.chromium.launch(executable_path=executable, args=["--no-sandbox"])
+        page = browser.new_page()
+        page.emulate_media(media="print")
+        for place, one in enumerate((sheet, full)):
+            file = tmp_path / f"{place}.html"
+            file.write_text(render_sheet(one))
+            page.goto(file.as_uri())
+            table, body = (page.locator(name).first.bounding_box() for name in ("table", "body"))
+            assert table["x"] + table["width"] <= body["x"] + body["width"] + 1
+            last = page.locator("tr:nth-child(2) td:last-child").bounding_box()
+            assert last["height"] < 30  # in one line, or in two
+        browser.close()
+
+
+@pytest.mark.parametrize("paper", ["a4", "letter"])
+def test_texts_of_a_sheet_without_browser_lie_on_the_paper_and_do_not_overlap(full, paper):
+    with mpl.rc_context(sheet_file.LOOK):
+        figure = sheet_file.draw_sheet(full, paper)
+        figure.draw_without_rendering()
+    width, height = figure.bbox.width, figure.bbox.height
+    plots = [axes.get_tightbbox() for axes in figure.axes[:3]]
+    boxes = [text.get_window_extent() for text in figure.texts] + plots
+    for place, box in enumerate(boxes):
+        assert box.x0 >= 0
+        assert box.x1 <= width
+        assert box.y0 >= 0
+        assert box.y1 <= height
+        assert not any(box.overlaps(other) for other in boxes[:place]), place
+
+
+def test_the_failed_number_that_is_furthest_out_is_named(damper):
+    (energy, *_), gas = damper.select("energy_per_cycle"), damper.select("force_at_speed")[0]
+    limits = [
+        Limit("force_at_speed", 0.4 * gas.value, 0.6 * gas.value, gas.current, direction=gas.direction, speed=gas.speed),
+        Limit("energy_per_cycle", upper=0.5 * energy.value, current=energy.current, speed=energy.speed),
+        Limit("stroke_used", upper=1.0),
+    ]
+    acceptance = accept(damper, limits, TEST)
+    # It lies two bands beyond its limits, the energy as far beyond as the limit itself is large.
+    severities = [check.severity for check in acceptance.checks]
+    assert severities == pytest.approx([4.0, 1.0, 0.0])
+    assert acceptance.worst_sentence().startswith("Furthest out: force at speed (")
+    assert "lbf, allowed " in acceptance.worst_sentence(View("us"))
+    assert acceptance.worst_sentence(View("us")) in make_sheet([damper], TEST, acceptance, view=View("us")).sentence
+    assert accept(damper, limits[2:], TEST).worst_sentence() == ""
 
 
 @pytest.mark.parametrize(
