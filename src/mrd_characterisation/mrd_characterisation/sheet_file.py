@@ -239,19 +239,20 @@ def _draw_head(figure: Any, sheet: Sheet, width: float, height: float) -> float:
     fields = "    ".join(f"{name}: {text}" for name, text in sheet.fields)
     word = VERDICTS[sheet.verdict]
     indent = 1.6 if word else 0.0
-    large = {"fontsize": 16.0, "fontweight": "bold"} if len(sheet.serial) <= 40 else {"fontsize": 9.0, "fontweight": "bold"}
-    verdict = {"fontsize": 13.0, "fontweight": "bold", "color": COLORS[sheet.verdict]}
-    for text, most, shift, style in (
-        (sheet.serial, 90, 0.0, large),
-        (fields, 120, 0.0, {}),
-        (sheet.sentence, 95, indent, {}),
-    ):
+    figure.text(EDGE / width, top / height, sheet.serial, va="top", fontweight="bold", fontsize=_serial_size(sheet))
+    top -= 1.8 * _serial_size(sheet) / 72.0
+    for text, most, shift in ((fields, 120, 0.0), (sheet.sentence, 95, indent)):
         lines = textwrap.wrap(text, most)
+        figure.text((EDGE + shift) / width, top / height, "\n".join(lines), va="top")
         if shift:
-            figure.text(EDGE / width, top / height, word, va="top", **verdict)
-        figure.text((EDGE + shift) / width, top / height, "\n".join(lines), va="top", **style)
-        top -= max(len(lines) * 1.4 * style.get("fontsize", 8.0) / 72.0, 2 * LINE if shift else 0.0) + 0.5 * LINE
+            colour = COLORS[sheet.verdict]
+            figure.text(EDGE / width, top / height, word, va="top", fontsize=13.0, fontweight="bold", color=colour)
+        top -= LINE * (max(len(lines), 2 if shift else 1) + 0.5)
     return top
+
+
+def _serial_size(sheet: Sheet) -> float:
+    return 16.0 if len(sheet.serial) <= 40 else 8.5
 
 
 def _draw_table(axes: Any, sheet: Sheet, foot: float) -> None:
