@@ -432,7 +432,7 @@ class _Drawing:
         bold = note["text"].startswith("<b>")
         style = {"color": _colour(font.get("color", INK)), "fontsize": font.get("size", FONT_SIZE)}
         in_paper = note.get("xref", "paper") == "paper" and note.get("yref", "paper") == "paper"
-        if in_paper and note.get("yanchor") == "bottom":
+        if in_paper and note.get("yanchor") == "bottom" and 0.0 <= float(note["x"]) <= 1.0:
             panel = self._panel_below(float(note["x"]), float(note["y"]))
             panel.axes.set_title(_plain(note["text"]), loc=note.get("xanchor", "center"), pad=4, **style)
             return

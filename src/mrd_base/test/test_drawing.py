@@ -10,7 +10,7 @@ import pytest
 from plotly.subplots import make_subplots
 
 from mrd_base.drawing import LEGEND_ROW, _shortened, draw
-from mrd_base.figures import LAYOUT, to_html
+from mrd_base.figures import LAYOUT, NARROW, to_html
 
 
 def texts(svg: str) -> list[str]:
@@ -99,6 +99,21 @@ def test_ticks_of_a_narrow_drawing_do_not_touch():
     assert "0 %" in labels
     assert len(labels) <= 5
     assert len([text for text in texts(draw(figure, 900)) if re.fullmatch(r"\D?\d+ %", text)]) == 7
+
+
+def test_a_text_beside_a_narrow_diagram_covers_no_bar():
+    figure = bars().update_yaxes(autorange=True)
+    figure.data[0].x = [1.0, 0.5]
+    figure.layout.annotations = ()
+    beside = {"x": 1.03, "xref": "paper", "xanchor": "left", "showarrow": False}
+    figure.add_annotation(text="> 99 %", y="first<br>bar", **beside)
+    figure.add_annotation(text="probability", y=1.0, yref="paper", yanchor="bottom", **beside)
+    svg = draw(figure, NARROW)
+    right = max(x for path in re.findall(r'<path d="([^"]*)"[^>]*fill: #00798c', svg) for x, _ in points(path))
+    for text in ("&gt; 99 %", "probability"):
+        begin = float(re.search(rf'<text[^>]* x="([\d.]+)"[^>]*>{text}<', svg)[1])
+        assert begin > right, text
+        assert begin + 0.5 * 12 * len("probability") < NARROW
 
 
 def test_a_trace_that_cannot_be_drawn_is_refused():

@@ -20,7 +20,7 @@ from mrd_characterisation.force_speed import (
     round_speeds,
 )
 from mrd_characterisation.slow_strokes import SLOW, gas_values, long_strokes, slow_pairs
-from mrd_characterisation.strokes import Cycle, Stroke, cycles_of, grouped, rounded, strokes_of
+from mrd_characterisation.strokes import SETTLED, Cycle, Stroke, cycles_of, grouped, rounded, strokes_of
 from mrd_runs import Run
 from mrd_runs.run import checked_runs
 from mrd_runs.signals.current import current_noise
@@ -105,7 +105,14 @@ def characterise(
         *gas,
     ]
     if not measured:
-        which = f"{listed[0].name}: holds" if len(listed) == 1 else f"{listed[0].name} and {len(listed) - 1} more runs: hold"
+        moving = sum(map(len, of_runs))
+        if moving and not strokes and not steps:
+            raise InputError(
+                f"{listed[0].name}{_more(listed)}: the current is steady in none of the {moving} strokes, expected less "
+                f"change than {100 * SAME_CURRENT:g} % of the largest current, {scale:.3g} A; hold it from {SETTLED:g} s "
+                "before the strokes on, and record at least three cycles of a sine or a triangle"
+            )
+        which = f"{listed[0].name}{_more(listed)}: hold{'s' * (len(listed) == 1)}"
         raise InputError(
             f"{which} no repeated cycle and no stroke of constant speed at steady current, and no current step at constant "
             "speed to which the force responds; record at least three cycles of a sine or a triangle at a constant current"
@@ -129,6 +136,10 @@ def characterise(
         gas_curve,
         (*_limitations(levels, groups, bool(gas), bool(steps), fast), *notes),
     )
+
+
+def _more(runs: Sequence[Run]) -> str:
+    return f" and {len(runs) - 1} more run{'s' * (len(runs) > 2)}" if len(runs) > 1 else ""
 
 
 def _at_levels(of_runs: Sequence[Sequence[Stroke]], tolerance: float) -> list[list[Stroke]]:

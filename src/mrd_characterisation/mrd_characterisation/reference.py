@@ -70,5 +70,8 @@ def read_reference(paths: Sequence[str], tolerance: float, skip: float = 0.0) ->
     golden = characterise(runs, name="golden")
     sources = tuple(str(run.info["source"]) for run in runs)
     return Reference(
-        golden_limits(golden.values, tolerance), f"the golden damper of {len(runs)} runs {within}", sources, golden
+        golden_limits(golden.values, tolerance),
+        f"the golden damper of {len(runs)} run{'s' * (len(runs) > 1)} {within}",
+        sources,
+        golden,
     )

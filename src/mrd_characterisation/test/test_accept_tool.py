@@ -80,6 +80,20 @@ def test_what_limits_ask_for_and_runs_do_not_show_is_no_pass(shelf, tmp_path, mo
     assert (tmp_path / "out/sheet.pdf").exists()
 
 
+def test_a_golden_damper_of_another_test_is_told_in_one_line(simulated_damper, shelf, tmp_path, monkeypatch):
+    other = replace(simulated_damper, speed=0.5 * simulated_damper.speed).sine("other", 0.05, 0.7)
+    write_csv(other, tmp_path / "other.csv", velocity=False)
+    monkeypatch.setattr(
+        sys,
+        "argv",
+        ["mrd accept", str(tmp_path / "other.csv"), "--reference", str(shelf / "golden/on.csv"), "--output", str(tmp_path)],
+    )
+    with pytest.raises(
+        InputError, match=r"of the golden damper of 1 run within 10 %: it was recorded at .* record the same"
+    ):
+        work()
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

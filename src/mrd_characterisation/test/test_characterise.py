@@ -152,6 +152,13 @@ def test_random_motion_and_random_current_give_no_cycles(simulated_damper):
         characterise(simulated_damper.record("random_current", position, current))
 
 
+def test_a_current_that_never_settles_is_told(simulated_damper):
+    run = simulated_damper.sine("drifting", 0.2, 0.4)
+    current = 0.5 + 0.3 * np.sin(2.0 * np.pi * 0.4 * run.time)
+    with pytest.raises(InputError, match=r"drifting: the current is steady in none of the \d+ strokes, expected .* 0.8 A"):
+        characterise(replace(run, current=current))
+
+
 def test_a_speed_that_was_not_recorded_is_refused(simulated_damper):
     run = simulated_damper.sine("a", 0.2, 0.0)
     assert {value.speed for value in characterise(run, speeds=[0.07, 0.12]).select("force_at_speed")} == {0.07, 0.12}

@@ -13,7 +13,7 @@ from mrd_bench_driver.supervision.snapshot import Snapshot
 from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.lamps import READINGS, lamps
 from mrd_dashboard.live_frame import COLUMNS, MOST_POINTS, SHOWN, LivePrediction, live_frame
-from mrd_dashboard.pages.plots import live_panels
+from mrd_dashboard.pages.plots import NARROW, chart, live_panels
 from mrd_dashboard.sample_history import SampleHistory
 from mrd_sim.models import find_model
 from mrd_trajectory.limits import Limits
@@ -175,3 +175,17 @@ def test_the_lamp_of_the_setpoints_asks_for_those_that_the_lease_names(source: s
     view.hear_lease(5.0, source=source)
     found = {lamp.name: lamp for lamp in view.lamps()}
     assert found["stale setpoint"].status == status
+
+
+@pytest.mark.parametrize("predicted", [False, True])
+def test_on_a_telephone_the_plots_stand_beneath_each_other(predicted: bool) -> None:
+    options = chart(live_panels(Limits(), predicted=predicted), stacked_if_narrow=True)
+    narrow, usual = options["media"]
+    assert usual == {"option": {"grid": options["grid"]}}  # comes back where the chart is wide again
+    assert narrow["query"] == {"maxWidth": NARROW}
+    places = [[float(share.rstrip("%")) for share in grid.values()] for grid in narrow["option"]["grid"]]
+    assert len(places) == len(options["grid"])
+    for (left, top, width, height), following in zip(places, [*places[1:], [17.0, 100.0, 0.0, 0.0]], strict=True):
+        assert left + width <= 100.0
+        assert height > 6.5
+        assert top + height + 4.0 <= following[1]  # the labels between them

@@ -1025,6 +1025,8 @@ def test_the_chart_of_candidates_says_what_its_numbers_are():
     # The alternative has the probability that the table of alternatives states.
     assert "<b>38 %</b>" in texts
     assert chart.layout.xaxis.title.text == "share of the gap removed"
+    # They stand beside the bars, also on a telephone.
+    assert all(annotation.x > 1.0 for annotation in chart.layout.annotations)
     # Where none of the candidates is the cause, a probability would mislead.
     for verdict in ("no_gap", "partly_explained", "unknown_effect"):
         assert not figures.candidate_chart(diagnosed(verdict)).layout.annotations

@@ -31,7 +31,8 @@ _LIGHTS = {
     "": ("radio_button_unchecked", "grey"),
 }
 _COLUMNS = [
-    {"name": name, "label": label, "field": name, "align": "left", "sortable": True}
+    # The sign for sorting stays beside the label.
+    {"name": name, "label": label, "field": name, "align": "left", "sortable": True, "headerClasses": "lg:whitespace-nowrap"}
     for name, label in {
         "serial": "serial number",
         "verdict": "latest test",

@@ -54,7 +54,7 @@ def _plots(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> Non
         )
     names = ui.element()
     plots = fresh_chart({}, "/live.json", FRAME_PERIOD)
-    plots.style("height: max(560px, calc(100vh - 240px))").mark("plots")
+    plots.classes("mrd-live-plots").mark("plots")
 
     drawn: tuple[bool, bool] | None = None
 
@@ -66,7 +66,7 @@ def _plots(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> Non
             return
         drawn = wanted
         panels = live_panels(dashboard.bench.supervisor.limits, predicted=wanted[0])
-        plots.options.update(chart(panels, show_limits=wanted[1]))
+        plots.options.update(chart(panels, show_limits=wanted[1], stacked_if_narrow=True))
         names.clear()
         with names:
             legend(panels)

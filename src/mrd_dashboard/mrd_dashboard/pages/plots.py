@@ -13,6 +13,10 @@ MEASURED, PREDICTED, RESIDUAL, LIMIT = "#2b8cd6", "#e69f00", "#009e73", "#d55e00
 _AXIS, _GRID = "#808080", "#80808040"
 _LOW = 15.0  # percent; a plot lower than that has few lines
 
+NARROW = 560
+"""Width of a chart in pixels up to which plots that would stand beside each other stand beneath each other."""
+_LABELS = 5.0  # percent of a high chart that the labels beneath a plot take
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -43,7 +47,13 @@ def title(column: str) -> str:
     return f"{name} / {unit.replace('_per_', '/')}" if unit else name
 
 
-def chart(panels: Sequence[Panel], *, show_limits: bool = True, columns: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def chart(
+    panels: Sequence[Panel],
+    *,
+    show_limits: bool = True,
+    columns: Mapping[str, Any] | None = None,
+    stacked_if_narrow: bool = False,
+) -> dict[str, Any]:
     """Return the options of a chart with several plots over one table.
 
     Parameters
@@ -52,11 +62,12 @@ def chart(panels: Sequence[Panel], *, show_limits: bool = True, columns: Mapping
         Whether the axes reach to the limits; else they follow the curves.
     columns : mapping, optional
         The table.
+    stacked_if_narrow : bool
+        Whether the plots stand beneath each other in a chart of at most `NARROW` pixels, which then has to be high.
     """
-    grids, x_axes, y_axes, series = [], [], [], []
+    grids, x_axes, y_axes, series = [_grid(panel.place) for panel in panels], [], [], []
     for index, panel in enumerate(panels):
-        left, top, width, height = panel.place
-        grids.append({"left": f"{left}%", "top": f"{top}%", "width": f"{width}%", "height": f"{height}%"})
+        height = panel.place[3]
         x_axes.append(_axis(index, title(panel.x), panel.x_limits, show_limits, gap=22))
         y_axes.append(_axis(index, title(panel.curves[0][0]), panel.y_limits, show_limits, gap=44))
         if height < _LOW:
@@ -86,7 +97,12 @@ def chart(panels: Sequence[Panel], *, show_limits: bool = True, columns: Mapping
                     "data": lines,
                 }
             series.append(curve)
+    narrow = [
+        {"query": {"maxWidth": NARROW}, "option": {"grid": [_grid(place) for place in _stacked(panels)]}},
+        {"option": {"grid": grids}},
+    ]
     return {
+        **({"media": narrow} if stacked_if_narrow else {}),
         "animation": False,
         # Without columns, ECharts does not know what kind of table it is.
         "dataset": {"source": dict(columns or {name: [] for panel in panels for name in (panel.x, panel.curves[0][0])})},
@@ -95,6 +111,21 @@ def chart(panels: Sequence[Panel], *, show_limits: bool = True, columns: Mapping
         "yAxis": y_axes,
         "series": series,
     }
+
+
+def _grid(place: tuple[float, float, float, float]) -> dict[str, str]:
+    return {name: f"{share:g}%" for name, share in zip(("left", "top", "width", "height"), place, strict=True)}
+
+
+def _stacked(panels: Sequence[Panel]) -> list[tuple[float, float, float, float]]:
+    """Return places beneath each other in percent, in the order of the panels; low plots stay lower than others."""
+    shares = [min(max(panel.place[3], 12.0), 24.0) for panel in panels]
+    scale = (100.0 - _LABELS * len(panels) - 1.0) / sum(shares)
+    places, top = [], 1.0
+    for share in shares:
+        places.append((17.0, round(top, 2), 79.0, round(scale * share, 2)))
+        top += scale * share + _LABELS
+    return places
 
 
 def _axis(index: int, name: str, limits: tuple[float, ...], show_limits: bool, gap: int) -> dict[str, Any]:

@@ -42,6 +42,9 @@ _STYLE = """
   .q-dialog__inner { top: 100px !important; }
   @media (max-width: 767px) { .q-dialog__inner { top: 150px !important; } }
   .body--dark .text-negative { --q-negative: #ff6b6b; }
+  .mrd-live-plots { height: max(560px, calc(100vh - 240px)); }
+  /* There, its plots stand beneath each other. */
+  @media (max-width: 600px) { .mrd-live-plots { height: 1250px; } }
 </style>
 """
 ui.tooltip.default_props("delay=700")  # at once, they would cover what one is about to press

@@ -133,10 +133,11 @@ def candidate_chart(diagnosis: Diagnosis) -> go.Figure:
     figure.update_xaxes(
         title_text="share of the gap removed",
         tickformat=".0%",
-        range=[np.floor(lowest / 0.25) * 0.25 - 0.05 * (lowest < 0), 1.4 if with_probabilities(diagnosis) else 1.05],
+        range=[np.floor(lowest / 0.25) * 0.25 - 0.05 * (lowest < 0), 1.05],
         tickvals=[-1, -0.75, -0.5, -0.25, 0, 0.25, 0.5, 0.75, 1],
     )
-    return _bar_layout(figure, len(shown), top=28)
+    _bar_layout(figure, len(shown), top=28)
+    return figure.update_layout(margin_r=84) if with_probabilities(diagnosis) else figure
 
 
 def map_figures(diagnosis: Diagnosis) -> list[tuple[str, go.Figure]]:
@@ -344,8 +345,8 @@ def _bars(names: Sequence[str], values: Sequence[Interval], colours: Sequence[st
 
 
 def _right_column(figure: go.Figure, text: str, **options: Any) -> None:
-    """Write a text at the right edge of a chart."""
-    placed = {"x": 1.0, "xref": "paper", "xanchor": "right", "showarrow": False, "font": {"size": 12}}
+    """Write a text to the right of a chart, where it covers no bar however narrow the chart is."""
+    placed = {"x": 1.03, "xref": "paper", "xanchor": "left", "showarrow": False, "font": {"size": 12}}
     figure.add_annotation(text=text, **(placed | options))
 
 
