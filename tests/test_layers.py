@@ -304,15 +304,15 @@ def test_the_page_on_architecture_names_modules_that_exist():
     assert not missing
 
 
-def test_the_rooms_of_the_diagnosis_use_each_other_in_one_direction():
+def test_the_folders_of_the_diagnosis_use_each_other_in_one_direction():
     root = SOURCES / "mrd_diagnosis" / "mrd_diagnosis"
     used: dict[str, set[str]] = {}
     for file in root.rglob("*.py"):
-        room = file.relative_to(root).parts[0].removesuffix(".py")
+        folder = file.relative_to(root).parts[0].removesuffix(".py")
         for _, name in imports(ast.parse(file.read_text(encoding="utf-8"))):
             parts = name.split(".")
-            if parts[0] == "mrd_diagnosis" and len(parts) > 1 and parts[1] != room:
-                used.setdefault(room, set()).add(parts[1])
+            if parts[0] == "mrd_diagnosis" and len(parts) > 1 and parts[1] != folder:
+                used.setdefault(folder, set()).add(parts[1])
     assert {"decision", "evidence", "search", "wrong_form"} <= used.keys()
     order = list(graphlib.TopologicalSorter(used).static_order())  # raises CycleError
     assert order.index("noise") < order.index("fitting") < order.index("search") < order.index("decision")

@@ -9,16 +9,29 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_base.progress import ignore
-from mrd_diagnosis.change import explain_change
 from mrd_diagnosis.closure.closure import Closure, compute_closure
-from mrd_diagnosis.decision.explanation import advise_next, list_alternative_models, list_alternatives, list_candidates
-from mrd_diagnosis.decision.honesty import SEEN
-from mrd_diagnosis.decision.judgement import judge, reject_others
-from mrd_diagnosis.diagnosis import Candidate, CorrectedSimulator, Diagnosis, Finding, Gap, HeldOutBy, Region, Verdict
-from mrd_diagnosis.fitting.base_fit import fit_base
+from mrd_diagnosis.decision.candidates import list_alternative_models, list_alternatives, list_candidates
+from mrd_diagnosis.decision.conclusion import Conclusion, conclude, reject_others
+from mrd_diagnosis.decision.explanation import FittedExplanation
+from mrd_diagnosis.decision.rejection_rules import leaves_open
+from mrd_diagnosis.diagnosis import (
+    Advice,
+    Candidate,
+    CorrectedSimulator,
+    Diagnosis,
+    Finding,
+    Gap,
+    HeldOutBy,
+    Region,
+    StandIn,
+    Verdict,
+)
+from mrd_diagnosis.experiment_design.open_explanations import advise_next
+from mrd_diagnosis.explain_change import explain_change
+from mrd_diagnosis.explain_gap import explain_gap
+from mrd_diagnosis.fitting.base_fit import FittedBase, fit_base
 from mrd_diagnosis.fitting.refit import Refit, refit_on
 from mrd_diagnosis.fitting.weighting import Weighting, error_of_run
-from mrd_diagnosis.gap import explain_gap
 from mrd_diagnosis.localisation.localise import localise
 from mrd_diagnosis.localisation.oscillation import find_oscillation
 from mrd_diagnosis.recordings.closed_loop import closed_loop_notes
@@ -26,7 +39,7 @@ from mrd_diagnosis.recordings.limitations import limitation_notes, untestable_ef
 from mrd_diagnosis.recordings.recording_set import RecordingSet, held_out_by
 from mrd_diagnosis.report.sentences import fault_sentence, imitation_note, verdict_sentence
 from mrd_diagnosis.search.alternative_models import OTHER_MODELS, best_model
-from mrd_diagnosis.search.model_comparison import ModelComparison, as_it_is
+from mrd_diagnosis.search.model_comparison import ModelComparison, RefitComparison, unchanged
 from mrd_diagnosis.simulator.in_the_loop import SimulatorInLoop
 from mrd_diagnosis.simulator.refit import refit_parameters
 from mrd_diagnosis.simulator.stand_in import note_on, represent
@@ -37,7 +50,7 @@ from mrd_identification.preflight import preflight
 from mrd_identification.recording import thinned
 from mrd_runs import Run
 from mrd_runs.run import checked_runs
-from mrd_runs.scales import scales_of
+from mrd_runs.scales import Scales, scales_of
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import DamperModel, find_model
 from mrd_sim.simulators.simulator import Simulator
@@ -137,33 +150,18 @@ def diagnose(
     findings = preflight([*runs, *held_out], expected)
     if reference:
         findings = (*preflight(reference, expected), *findings)
-    asked = _Asked(tuple(runs), tuple(held_out), tuple(reference), seed, began)
+    request = _Request(tuple(runs), tuple(held_out), tuple(reference), seed, bench, progress, began)
     if any(finding.severity == "fault" for finding in findings):
         progress("done", 1.0)
-        return _faulty(base, asked, findings)
-    recordings = RecordingSet.prepare(runs, reference, held_out)
-    stand_in, loop = None, None
+        return _faulty(base, request, findings)
+    start = _Start(base, theta, RecordingSet.prepare(runs, reference, held_out))
     if simulator:
-        progress("asking the simulator", 0.02)
-        given = "" if model == BEST_MODEL else model
-        if free:
-            simulator = refit_parameters(simulator, recordings.fitted, free)
-        stand_in, recordings, limits = represent(simulator, recordings, scales, np.random.default_rng(seed), given)
-        findings = (*findings, *limits)
-        base, theta = stand_in.model, stand_in.theta
-        loop = SimulatorInLoop(simulator, base, theta) if simulator.answers_anew else None
+        start = _around_simulator(start, simulator, free, scales, request, "" if model == BEST_MODEL else model)
     elif model == BEST_MODEL:
-        progress("choosing the damper model", 0.02)
-        tried = sorted({base.id, *OTHER_MODELS})
-        base = best_model(base, thinned(recordings.after, MOST_SAMPLES), np.random.default_rng(seed))
-    diagnosis = _diagnose_physics(base, theta, candidates, recordings, findings, bench, asked, progress, loop)
-    chosen = ""
-    if stand_in:
-        chosen = note_on(stand_in, asked_anew=loop is not None)
-    elif model == BEST_MODEL:
-        chosen = f"Of the damper models that were tried ({', '.join(tried)}), {base.id} predicts these recordings best."
-    notes = (chosen, *(simulator.notes if simulator else ()), *diagnosis.notes, *closed_loop_notes(runs))
-    return replace(diagnosis, notes=tuple(filter(None, notes)), stand_in=stand_in)
+        start = _around_best_model(start, request)
+    diagnosis = _diagnose_physics(start, candidates, (*findings, *start.limitations), request)
+    notes = (*start.notes, *diagnosis.notes, *closed_loop_notes(runs))
+    return replace(diagnosis, notes=tuple(filter(None, notes)), stand_in=start.stand_in)
 
 
 def choose_model(runs: Sequence[Run], seed: int = 0) -> DamperModel:
@@ -181,18 +179,92 @@ def choose_model(runs: Sequence[Run], seed: int = 0) -> DamperModel:
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """What was asked of the diagnosis."""
+class _Request:
+    """What was asked of the diagnosis, and when."""
 
     runs: tuple[Run, ...]
     held_out: tuple[Run, ...]
     reference: tuple[Run, ...]
     seed: int
+    bench: GeneratorSettings | None
+    progress: Progress
     began: float
 
     @property
     def held_out_by(self) -> HeldOutBy:
         return held_out_by(len(self.runs), len(self.held_out), is_change=bool(self.reference))
+
+
+@dataclass(frozen=True)
+class _Start:
+    """What a diagnosis starts from.
+
+    Attributes
+    ----------
+    model : DamperModel
+        The model to which effects are added.
+    theta_as_given : ndarray (parameters,) or None
+        Parameters of the simulator as it is, where they are known.
+    recordings : RecordingSet
+    limitations : tuple of Finding
+        What limits a diagnosis with a user's simulator.
+    stand_in : StandIn or None
+        What stands for that simulator.
+    loop : SimulatorInLoop or None
+        The simulator itself, where it answers to any motion.
+    notes : tuple of str
+    """
+
+    model: DamperModel
+    theta_as_given: Array | None
+    recordings: RecordingSet
+    limitations: tuple[Finding, ...] = ()
+    stand_in: StandIn | None = None
+    loop: SimulatorInLoop | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def in_loop(self) -> RefitComparison:
+        """What refits a comparison with the simulator in the loop, where there is one."""
+        return self.loop.refit_comparison if self.loop else unchanged
+
+
+@dataclass(frozen=True)
+class _Location:
+    """Where the gap lies, an oscillation that has most of it, and the share that a flexible function can explain."""
+
+    where: tuple[Region, ...] = ()
+    oscillation: Region | None = None
+    explainable: float = float("nan")
+
+
+def _around_simulator(
+    start: _Start,
+    simulator: Simulator,
+    free: Mapping[str, tuple[float, float] | None] | None,
+    scales: Scales,
+    request: _Request,
+    model: str,
+) -> _Start:
+    """Start from the model that stands for a user's simulator."""
+    request.progress("asking the simulator", 0.02)
+    if free:
+        simulator = refit_parameters(simulator, start.recordings.fitted, free)
+    rng = np.random.default_rng(request.seed)
+    stand_in, recordings, limitations = represent(simulator, start.recordings, scales, rng, model)
+    loop = SimulatorInLoop(simulator, stand_in.model, stand_in.theta) if simulator.answers_anew else None
+    notes = (note_on(stand_in, asked_anew=loop is not None), *simulator.notes)
+    return _Start(stand_in.model, stand_in.theta, recordings, limitations, stand_in, loop, notes)
+
+
+def _around_best_model(start: _Start, request: _Request) -> _Start:
+    """Start from the model of the catalogue that predicts the recordings best."""
+    request.progress("choosing the damper model", 0.02)
+    rng = np.random.default_rng(request.seed)
+    best = best_model(start.model, thinned(start.recordings.after, MOST_SAMPLES), rng)
+    tried = ", ".join(sorted({start.model.id, *OTHER_MODELS}))
+    note = f"Of the damper models that were tried ({tried}), {best.id} predicts these recordings best."
+    return replace(start, model=best, notes=(note,))
 
 
 def _notes_on_change(runs: int, reference: int) -> tuple[str, ...]:
@@ -231,149 +303,168 @@ def _theta_as_given(base: DamperModel, parameters: StoredFit | None) -> Array | 
     return base.vector({name: value for name, value in parameters.values.items() if "." not in name})
 
 
-def _faulty(model: DamperModel, asked: _Asked, findings: tuple[Finding, ...]) -> Diagnosis:
+def _faulty(model: DamperModel, request: _Request, findings: tuple[Finding, ...]) -> Diagnosis:
     """Return the diagnosis that the recordings are faulty."""
     return Diagnosis(
         model,
-        asked.runs,
-        asked.held_out,
-        asked.seed,
-        time.monotonic() - asked.began,
+        request.runs,
+        request.held_out,
+        request.seed,
+        time.monotonic() - request.began,
         findings,
         "data_fault",
         fault_sentence(findings),
-        asked.held_out_by,
-        asked.reference,
+        request.held_out_by,
+        request.reference,
     )
 
 
+def _limited(model: DamperModel, request: _Request, findings: Sequence[Finding], conclusion: Conclusion) -> Diagnosis:
+    """Return the diagnosis that limitations of the recordings are the answer: nothing is left that they cannot imitate."""
+    faults = tuple(replace(finding, severity="fault") for finding in conclusion.limitations)
+    others = tuple(finding for finding in findings if finding not in conclusion.limitations)
+    faulty = _faulty(model, request, (*faults, *others))
+    return replace(faulty, rejected=conclusion.rejected, notes=(imitation_note(conclusion.rejected),))
+
+
 def _diagnose_physics(
-    model: DamperModel,
-    theta_as_given: Array | None,
-    candidates: Sequence[str],
-    recordings: RecordingSet,
-    findings: tuple[Finding, ...],
-    bench: GeneratorSettings | None,
-    asked: _Asked,
-    progress: Progress,
-    loop: SimulatorInLoop | None,
+    start: _Start, candidates: Sequence[str], findings: tuple[Finding, ...], request: _Request
 ) -> Diagnosis:
-    """Diagnose recordings that have no fault: fit, explain, judge, then measure, locate and advise."""
-    rng = np.random.default_rng(asked.seed)
+    """Diagnose recordings that have no fault: fit, explain, conclude, then describe what was found."""
+    rng, progress = np.random.default_rng(request.seed), request.progress
     progress("fitting the model", 0.05)
-    weighting, base, null_errors, notes = fit_base(model, theta_as_given, thinned(recordings.fitted, MOST_SAMPLES), rng)
-    untestable = untestable_effects(model, theta_as_given, candidates, recordings.fitted)
+    recordings = start.recordings.fitted
+    fit = fit_base(start.model, start.theta_as_given, thinned(recordings, MOST_SAMPLES), rng)
+    untestable = untestable_effects(start.model, start.theta_as_given, candidates, recordings)
     tried = [effect for effect in candidates if effect not in {entry.effect for entry in untestable}]
     progress("trying effects", 0.15)
-
-    in_loop = loop.compared if loop else as_it_is
 
     def part(stage: str, fraction: float) -> None:
         progress(stage, 0.15 + 0.75 * fraction)
 
-    if recordings.is_change:
-        explained = explain_change(weighting, base, tried, rng, lambda fraction: part("trying effects", fraction))
-        explained = replace(explained, complete=in_loop(explained.complete))
+    if start.recordings.is_change:
+        fitted = explain_change(fit.weighting, fit.base, tried, rng, lambda fraction: part("trying effects", fraction))
+        fitted = replace(fitted, complete=start.in_loop(fitted.complete))
     else:
-        explained = explain_gap(weighting, base, null_errors, tried, rng, part, in_loop)
-    runs = [*asked.reference, *asked.runs]
-    judgement = judge(explained.explanation, explained.complete, findings, runs, rng, in_loop)
-    if judgement.faults:
+        fitted = explain_gap(fit.weighting, fit.base, fit.null_errors, tried, rng, part, start.in_loop)
+    runs = [*request.reference, *request.runs]
+    conclusion = conclude(fitted.explanation, fitted.complete, findings, runs, rng, start.in_loop)
+    if conclusion.explanation.verdict == "data_fault":
         progress("done", 1.0)
-        faults = tuple(replace(finding, severity="fault") for finding in judgement.faults)
-        others = tuple(finding for finding in findings if finding not in judgement.faults)
-        faulty = _faulty(model, asked, (*faults, *others))
-        return replace(faulty, rejected=judgement.rejected, notes=(imitation_note(judgement.rejected),))
-    explanation, complete = judgement.explanation, judgement.complete
-    verdict, comparison, chances = explanation.verdict, in_loop(explanation.comparison), explanation.probabilities
-    if verdict == "no_gap":
-        comparison, complete, chances = comparison.without_effects(), complete.without_effects(), {}
-    listed, without_evidence = list_candidates(comparison, explained.singles, explained.null_gains, chances, rng)
-
-    progress("measuring how far the gap closes", 0.9)
-    set_aside = recordings.held_out
-    closure = compute_closure(complete, set_aside, rng, loop.prepared(complete.best, set_aside) if loop else set_aside)
-    if verdict != "no_gap":
-        progress("locating the gap", 0.93)
-    place = _locate(closure, verdict, rng)
-    conclusive = verdict == "explained" or (verdict == "ambiguous" and bool(judgement.causes))
-    is_open = verdict != "no_gap" and not conclusive
-    models = list_alternative_models(comparison, explained.other_models, rng) if is_open else ()
-    if verdict != "no_gap":
-        progress("designing the next experiment", 0.96)
-    rejected = {entry.effect: entry.rule in SEEN for entry in judgement.rejected}
-    advice = None if verdict == "no_gap" else advise_next(explained.explanation, rejected, explained.singles, rng, bench)
-    progress("done", 1.0)
-    diagnosis = Diagnosis(
-        model=model,
-        runs=asked.runs,
-        held_out=asked.held_out,
-        seed=asked.seed,
-        elapsed=time.monotonic() - asked.began,
-        findings=findings,
-        verdict=verdict,
-        sentence="",
-        held_out_by=asked.held_out_by,
-        reference=asked.reference,
-        gap=Gap(
-            closure.noise_floor,
-            closure.before,
-            closure.after,
-            closure.closed_fraction,
-            _error_as_given(model, theta_as_given, complete.weighting, closure),
-            place.explainable,
-            closure.extrapolated,
-            explanation.form_fraction,
-        ),
-        corrected=_corrected(model, theta_as_given, complete, _damper_before(weighting, base) if asked.reference else {}),
-        where=place.where,
-        oscillation=place.oscillation,
-        causes=judgement.causes,
-        rejected=reject_others(judgement, listed, models, findings, runs),
-        weighed=explanation.weighed,
-        alternatives=list_alternatives(comparison, chances) if verdict not in ("no_gap", "unknown_effect") else (),
-        nearest=_nearest(comparison, listed) if is_open else None,
-        candidates=listed,
-        untestable=(*without_evidence, *untestable),
-        alternative_models=models,
-        next_experiment=advice,
-        residuals=closure.residuals,
-        notes=(
-            *notes,
-            *([loop.note(complete)] if loop else []),
-            *_notes_on_change(len(asked.runs), len(asked.reference)),
-            *limitation_notes(recordings.fitted, complete.weighting.noise),
-        ),
-    )
+        return _limited(start.model, request, findings, conclusion)
+    diagnosis = _describe(start, request, findings, fit, fitted, conclusion, rng)
+    diagnosis = replace(diagnosis, untestable=(*diagnosis.untestable, *untestable))
     return replace(diagnosis, sentence=verdict_sentence(diagnosis))
 
 
-def _corrected(
-    model: DamperModel, theta_as_given: Array | None, complete: ModelComparison, before: Mapping[str, float]
-) -> CorrectedSimulator:
+def _describe(
+    start: _Start,
+    request: _Request,
+    findings: tuple[Finding, ...],
+    fit: FittedBase,
+    fitted: FittedExplanation,
+    conclusion: Conclusion,
+    rng: np.random.Generator,
+) -> Diagnosis:
+    """Describe a conclusion: measure how far the gap closes, locate it, list what was tried, and advise."""
+    progress, explanation, complete = request.progress, conclusion.explanation, conclusion.complete
+    verdict, has_gap = explanation.verdict, explanation.verdict != "no_gap"
+    comparison, probabilities = start.in_loop(explanation.comparison), explanation.probabilities
+    if not has_gap:
+        comparison, complete, probabilities = comparison.without_effects(), complete.without_effects(), {}
+    listed, without_evidence = list_candidates(comparison, fitted.singles, fitted.null_gains, probabilities, rng)
+    progress("measuring how far the gap closes", 0.9)
+    closure = _closure(start, complete, rng)
+    if has_gap:
+        progress("locating the gap", 0.93)
+    location = _locate(closure, verdict, rng)
+    is_open = has_gap and not (verdict == "explained" or (verdict == "ambiguous" and bool(conclusion.causes)))
+    models = list_alternative_models(comparison, fitted.other_models, rng) if is_open else ()
+    if has_gap:
+        progress("designing the next experiment", 0.96)
+    advice = _advice(fitted, conclusion, rng, request.bench) if has_gap else None
+    progress("done", 1.0)
+    return Diagnosis(
+        model=start.model,
+        runs=request.runs,
+        held_out=request.held_out,
+        seed=request.seed,
+        elapsed=time.monotonic() - request.began,
+        findings=findings,
+        verdict=verdict,
+        sentence="",
+        held_out_by=request.held_out_by,
+        reference=request.reference,
+        gap=_gap(start, complete.weighting, closure, location, explanation.form_fraction),
+        corrected=_corrected(start, complete, _damper_before(fit.weighting, fit.base) if request.reference else {}),
+        where=location.where,
+        oscillation=location.oscillation,
+        causes=conclusion.causes,
+        rejected=reject_others(conclusion, listed, models, findings, [*request.reference, *request.runs]),
+        weighed=explanation.weighed,
+        alternatives=list_alternatives(comparison, probabilities) if verdict not in ("no_gap", "unknown_effect") else (),
+        nearest=_nearest(comparison, listed) if is_open else None,
+        candidates=listed,
+        untestable=without_evidence,
+        alternative_models=models,
+        next_experiment=advice,
+        residuals=closure.residuals,
+        notes=(*fit.notes, *_notes(start, request, complete)),
+    )
+
+
+def _notes(start: _Start, request: _Request, complete: ModelComparison) -> list[str]:
+    """Return what limits a diagnosis."""
+    return [
+        *([start.loop.note(complete)] if start.loop else []),
+        *_notes_on_change(len(request.runs), len(request.reference)),
+        *limitation_notes(start.recordings.fitted, complete.weighting.noise),
+    ]
+
+
+def _closure(start: _Start, complete: ModelComparison, rng: np.random.Generator) -> Closure:
+    """Measure how far the gap closes, with a user's simulator in the loop where there is one."""
+    held_out = start.recordings.held_out
+    return compute_closure(complete, held_out, rng, start.loop.prepared(complete.best, held_out) if start.loop else held_out)
+
+
+def _gap(start: _Start, weighting: Weighting, closure: Closure, location: _Location, form_fraction: float) -> Gap:
+    return Gap(
+        closure.noise_floor,
+        closure.before,
+        closure.after,
+        closure.closed_fraction,
+        _error_as_given(start.model, start.theta_as_given, weighting, closure),
+        location.explainable,
+        closure.extrapolated,
+        form_fraction,
+    )
+
+
+def _advice(
+    fitted: FittedExplanation, conclusion: Conclusion, rng: np.random.Generator, bench: GeneratorSettings | None
+) -> Advice | None:
+    """Advise what to record next; what a rule rejected may be there all the same, if the rule leaves that open."""
+    rejected = {entry.effect: leaves_open(entry.rule) for entry in conclusion.rejected}
+    return advise_next(fitted.explanation, rejected, fitted.singles, rng, bench)
+
+
+def _corrected(start: _Start, complete: ModelComparison, before: Mapping[str, float]) -> CorrectedSimulator:
     """Return the simulator with the effects; where a change was explained, with the damper as it was ``before``."""
-    as_given = {} if theta_as_given is None else dict(zip(model.names, map(float, theta_as_given), strict=True))
+    theta = start.theta_as_given
+    as_given = {} if theta is None else dict(zip(start.model.names, map(float, theta), strict=True))
     without_effects = before or complete.without_effects().best.values
     return CorrectedSimulator(complete.best.effects, {**complete.best.values, **before}, without_effects, as_given)
 
 
-@dataclass(frozen=True)
-class _Place:
-    """Where the gap lies, an oscillation that has most of it, and the share that a flexible function can explain."""
-
-    where: tuple[Region, ...] = ()
-    oscillation: Region | None = None
-    explainable: float = float("nan")
-
-
-def _locate(closure: Closure, verdict: Verdict, rng: np.random.Generator) -> _Place:
+def _locate(closure: Closure, verdict: Verdict, rng: np.random.Generator) -> _Location:
     """Locate the gap; of a partly explained one, what remains."""
     if verdict == "no_gap":
-        return _Place()
+        return _Location()
     residuals = [of_run.after if verdict == "partly_explained" else of_run.before for of_run in closure.counted]
     recordings = [residual.recording for residual in closure.counted]
     noise = [residual.noise for residual in closure.counted]
-    return _Place(
+    return _Location(
         localise(recordings, noise, residuals),
         find_oscillation(recordings, noise, residuals),
         explainable_fraction(recordings, residuals, [of_run.sigma for of_run in noise], rng),

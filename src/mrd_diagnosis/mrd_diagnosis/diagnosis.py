@@ -183,7 +183,7 @@ class WeighedEffect:
     probability : float
         That one of the class is there; learnt, see `mrd_diagnosis.decision.presence`.
     evidence : mapping
-        The numbers of `mrd_diagnosis.evidence.evidence.Evidence` by name.
+        The numbers of `mrd_diagnosis.evidence.evidence.EVIDENCE` by name.
     table : mapping
         Probability of each effect that was tried in its place, and of none (""), by name, before anything learnt counts.
     """
@@ -239,11 +239,11 @@ class Rejected:
     ----------
     effect : str
     rule : str
-        Id of the rule of `mrd_diagnosis.decision.honesty.RULES` that rejected it.
+        Id of the rule of `mrd_diagnosis.decision.rejection_rules.RULES` that rejected it.
     why : str
         The reason as a clause about the effect ("it").
-    seen : bool
-        Whether it belongs to what explains the gap best: without the rule it would have been named.
+    chosen : bool
+        Whether it belongs to what explains the gap best: without the rule it would have been named; ``seen`` in reports.
     probability, p_value : float
     closed_fraction : Interval
         Share of the gap that it closes.
@@ -253,7 +253,7 @@ class Rejected:
     effect: str
     rule: str
     why: str
-    seen: bool
+    chosen: bool
     probability: float
     p_value: float
     closed_fraction: Interval

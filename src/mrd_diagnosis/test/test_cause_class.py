@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from mrd_diagnosis import Cause, diagnose
+from mrd_diagnosis.decision.causes import level_of
 from mrd_diagnosis.diagnosis import Interval, Member
-from mrd_diagnosis.evidence.cause_class import class_name, level_of
+from mrd_diagnosis.evidence.cause_class import class_name
 from mrd_diagnosis.report.sentences import cause_clause
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
@@ -49,7 +50,7 @@ def member(effect, probability):
 
 
 @pytest.mark.parametrize(
-    ("chances", "level"),
+    ("probabilities", "level"),
     [
         ({"channel_delay": 0.9, "force_sensor_lag": 0.05}, "effect"),
         ({"channel_delay": 0.5, "force_sensor_lag": 0.3}, "class"),
@@ -57,9 +58,11 @@ def member(effect, probability):
         ({"channel_delay": 0.3, "joint_play": 0.25, "gas_spring": 0.25}, "undecided"),
     ],
 )
-def test_the_level_is_what_the_recordings_determine(chances, level):
-    members = tuple(member(name, chances[name]) for name in ("channel_delay", "force_sensor_lag") if name in chances)
-    assert level_of("channel_delay", members, chances) == level
+def test_the_level_is_what_the_recordings_determine(probabilities, level):
+    members = tuple(
+        member(name, probabilities[name]) for name in ("channel_delay", "force_sensor_lag") if name in probabilities
+    )
+    assert level_of("channel_delay", members, probabilities) == level
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import pytest
 from mrd_base import InputError
 from mrd_diagnosis import diagnose
 from mrd_diagnosis.cli import diagnose as diagnose_tool
-from mrd_diagnosis.decision import decision
+from mrd_diagnosis.decision import verdict as rules_of_verdict
 from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.fitting.base_fit import BaseFit, fit_base
 from mrd_diagnosis.fitting.refit import refit_on
@@ -131,7 +131,7 @@ def test_without_the_effect_in_the_catalogue_it_is_unknown(delayed):
     assert not diagnosis.causes
     assert diagnosis.where
     assert diagnosis.sentence.startswith("Most of the gap")
-    assert not any(entry.seen for entry in diagnosis.rejected)
+    assert not any(entry.chosen for entry in diagnosis.rejected)
     # What stands in for the missing effect was weighed, and found unlikely.
     assert {entry.effect: entry.probability < 0.5 for entry in diagnosis.weighed} == {"moving_mass": True}
     assert "moving_mass" in {entry.effect for entry in diagnosis.rejected}
@@ -256,7 +256,7 @@ def test_at_one_speed_another_damper_model_is_not_taken_for_an_effect(model):
     [(0.7, 0.1, "explained"), (0.45, 0.1, "unknown_effect"), (0.7, 0.25, "unknown_effect"), (0.8, 0.25, "explained")],
 )
 def test_little_more_than_noise_needs_only_half_of_the_gap_to_be_closed(closes, left, verdict, monkeypatch):
-    monkeypatch.setattr(decision, "closed_fraction_between", lambda *_: Interval(closes, closes, closes))
+    monkeypatch.setattr(rules_of_verdict, "closed_fraction_between", lambda *_: Interval(closes, closes, closes))
     comparison = SimpleNamespace(
         best=SimpleNamespace(chi_square=1.0 + left, held_out_chi_squares=np.full(8, 100.0 * (1.0 + left))),
         base=SimpleNamespace(chi_square=2.0),
@@ -264,8 +264,9 @@ def test_little_more_than_noise_needs_only_half_of_the_gap_to_be_closed(closes, 
         alternative_model="",
         weighting=SimpleNamespace(folds=[(0, slice(100 * n, 100 * n + 100)) for n in range(8)]),
     )
-    chances = {"moving_mass": {"moving_mass": 1.0}}
-    assert decision.decide(comparison, 2.0, chances, {"moving_mass": 0.001}, np.random.default_rng(0)) == verdict
+    probabilities = {"moving_mass": {"moving_mass": 1.0}}
+    found = rules_of_verdict.verdict_on_gap(comparison, 2.0, probabilities, {"moving_mass": 0.001}, np.random.default_rng(0))
+    assert found == verdict
 
 
 def test_a_damper_model_that_predicts_worse_than_the_other_effects_alone_is_no_alternative():
@@ -328,11 +329,9 @@ def test_a_second_cause_is_found_within_the_tolerance_of_the_first_formula():
 
 def test_a_play_far_smaller_than_typical_scores_best_beside_a_lag():
     runs = recorded({"backlash": {"play": 7e-5}, "force_sensor_lag": {"lag": 0.0017}}, seed=3, rate=500)
-    weighting, alone, _, _ = fit_base(
-        find_model("bouc_wen"), None, [prepare_recording(run) for run in runs], np.random.default_rng(0)
-    )
-    (lagging,) = refit_with_effects(weighting, BaseFit.linearise(weighting, alone), ["force_sensor_lag"], 1)
-    weighting = weighting.updated(lagging.refit.problem.model, lagging.refit.theta)
+    fit = fit_base(find_model("bouc_wen"), None, [prepare_recording(run) for run in runs], np.random.default_rng(0))
+    (lagging,) = refit_with_effects(fit.weighting, BaseFit.linearise(fit.weighting, fit.base), ["force_sensor_lag"], 1)
+    weighting = fit.weighting.updated(lagging.refit.problem.model, lagging.refit.theta)
     base_fit = BaseFit.linearise(weighting, refit_on(weighting, lagging.refit))
     of_play, *others = (score.gain for score in score_effects(weighting, base_fit, ["backlash", *FEW, "flow_asymmetry"]))
     assert of_play > 10 * max(others)

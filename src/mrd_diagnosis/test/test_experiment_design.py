@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrd_diagnosis.decision import explanation as decided
-from mrd_diagnosis.decision.explanation import advise_next
+from mrd_diagnosis.decision.explanation import Explanation
 from mrd_diagnosis.diagnosis import Advice
 from mrd_diagnosis.experiment_design import advice as advice_module
 from mrd_diagnosis.experiment_design.advice import advise, sensor
 from mrd_diagnosis.experiment_design.experiment_library import library
-from mrd_diagnosis.experiment_design.prediction import Explanation
+from mrd_diagnosis.experiment_design.open_explanations import advise_next
+from mrd_diagnosis.experiment_design.prediction import RivalModel
 from mrd_diagnosis.experiment_design.separation import Predictor, Separation
 from mrd_diagnosis.fitting.refit import Refit, refit
 from mrd_diagnosis.fitting.weighting import RunScatter, Weighting
@@ -99,10 +99,10 @@ def alike():
     return fitted(plans, truth, ["channel_delay", other])
 
 
-def explanation_of(comparison: ModelComparison, chances: dict[str, float]) -> decided.Explanation:
+def explanation_of(comparison: ModelComparison, probabilities: dict[str, float]) -> Explanation:
     """Return an ambiguous explanation by the one effect of a comparison."""
     (effect,) = comparison.effects
-    return decided.Explanation("ambiguous", comparison, {effect: chances}, {effect: 0.001})
+    return Explanation("ambiguous", comparison, {effect: probabilities}, {effect: 0.001})
 
 
 def plan_of(advice: Advice):
@@ -198,8 +198,8 @@ def test_unlikely_explanations_need_no_experiment():
     comparison = ModelComparison(
         weighting, refits[""], (refits["force_sensor_lag"],), ("force_sensor_lag",), {"force_sensor_lag": refits}
     )
-    chances = {"force_sensor_lag": 0.6, "channel_delay": 0.39, "gas_spring": 0.005, "moving_mass": 0.005, "": 0.0}
-    advice = advise_next(explanation_of(comparison, chances), {}, (), np.random.default_rng(0))
+    probabilities = {"force_sensor_lag": 0.6, "channel_delay": 0.39, "gas_spring": 0.005, "moving_mass": 0.005, "": 0.0}
+    advice = advise_next(explanation_of(comparison, probabilities), {}, (), np.random.default_rng(0))
     assert advice.experiment == ""
     assert advice.between == ("force_sensor_lag", "channel_delay")
 
@@ -234,8 +234,8 @@ def test_advice_keeps_within_the_limits_of_the_users_bench(alike, experiments, m
     comparison = ModelComparison(
         weighting, refits["force_sensor_lag"], (refits["channel_delay"],), ("channel_delay",), alternatives
     )
-    chances = {"channel_delay": 0.5, "force_sensor_lag": 0.5}
-    advice = advise_next(explanation_of(comparison, chances), {}, (), np.random.default_rng(0), weak)
+    probabilities = {"channel_delay": 0.5, "force_sensor_lag": 0.5}
+    advice = advise_next(explanation_of(comparison, probabilities), {}, (), np.random.default_rng(0), weak)
     assert benches == [weak]
     assert advice.experiment == ""
     assert "No experiment that can be advised is safe: each would exceed 100 N" in advice.text
@@ -244,7 +244,7 @@ def test_advice_keeps_within_the_limits_of_the_users_bench(alike, experiments, m
 def test_runs_at_one_current_leave_the_slopes_over_current_open():
     weighting, refits = fitted(sines((8e-3, 1.0), current=Constant(0.0)), damper("channel_delay"), ["channel_delay"])
     known = refits["channel_delay"]
-    explanation = Explanation.from_refit(known, weighting.fixed)
+    explanation = RivalModel.from_refit(known, weighting.fixed)
     added = {p.name for p in explanation.problem.parameters} - {p.name for p in known.problem.parameters}
     assert added == {"yield_force_per_A", "yield_travel_per_A", "viscous_per_A"}
     theta = explanation.problem.theta(explanation.unit)
@@ -258,7 +258,7 @@ def test_runs_at_one_current_leave_the_slopes_over_current_open():
 def test_a_state_that_outlasts_a_run_is_carried_into_the_next_one():
     plans = sines((8e-3, 1.0), (8e-3, 2.0), current=Prbs(0.0, 0.3, 0.1, 8))
     weighting, refits = fitted(plans, damper("thermal_fade"), ["thermal_fade"])
-    explanation = Explanation.from_refit(refits["thermal_fade"], weighting.fixed)
+    explanation = RivalModel.from_refit(refits["thermal_fade"], weighting.fixed)
     theta = explanation.problem.theta(explanation.unit)
     again = weighting.recordings[0]
     expected = consecutive_forces(explanation.problem.model, theta, [*weighting.recordings, again])[-1]
@@ -268,7 +268,7 @@ def test_a_state_that_outlasts_a_run_is_carried_into_the_next_one():
 
 def test_only_the_same_damper_with_more_effects_contains_another(alike):
     weighting, refits = alike
-    delayed = Explanation.from_refit(refits["channel_delay"], weighting.fixed)
+    delayed = RivalModel.from_refit(refits["channel_delay"], weighting.fixed)
 
     def without_effects(name):
         return replace(delayed, problem=replace(delayed.problem, model=find_model(name)))

@@ -18,7 +18,7 @@ from mrd_base import InputError
 from mrd_base import figures as drawn_figures
 from mrd_base.json_file import read_schema
 from mrd_diagnosis.cli.diagnose import print_summary
-from mrd_diagnosis.decision.explanation import list_alternatives
+from mrd_diagnosis.decision.candidates import list_alternatives
 from mrd_diagnosis.diagnosis import (
     ON_BOUND,
     UNDETERMINED,
@@ -608,8 +608,8 @@ def test_the_sentence_on_a_part_of_the_gap():
 
 def test_an_alternative_that_was_not_refitted_has_no_size():
     comparison = SimpleNamespace(effects=("channel_delay",), alternatives={"channel_delay": {"channel_delay": None}})
-    chances = {"channel_delay": {"channel_delay": 0.8, "coil_lag": 0.15, "seal_friction": 0.04}}
-    (alternative,) = list_alternatives(comparison, chances)
+    probabilities = {"channel_delay": {"channel_delay": 0.8, "coil_lag": 0.15, "seal_friction": 0.04}}
+    (alternative,) = list_alternatives(comparison, probabilities)
     assert (alternative.effect, alternative.instead_of, alternative.probability) == ("coil_lag", "channel_delay", 0.15)
     assert not alternative.parameters
 
@@ -617,8 +617,8 @@ def test_an_alternative_that_was_not_refitted_has_no_size():
 def test_what_is_a_cause_beside_another_one_is_no_alternative_to_it():
     """A play in a joint was named, and listed in place of the side-load friction that was named beside it."""
     comparison = SimpleNamespace(effects=("joint_play", "side_load_friction"), alternatives={"side_load_friction": {}})
-    chances = {"side_load_friction": {"side_load_friction": 0.48, "joint_play": 0.11, "backlash": 0.12}}
-    assert [alternative.effect for alternative in list_alternatives(comparison, chances)] == ["backlash"]
+    probabilities = {"side_load_friction": {"side_load_friction": 0.48, "joint_play": 0.11, "backlash": 0.12}}
+    assert [alternative.effect for alternative in list_alternatives(comparison, probabilities)] == ["backlash"]
 
 
 def test_a_form_that_is_not_wrong_is_a_clue():

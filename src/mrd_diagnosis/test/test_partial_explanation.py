@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 
 from mrd_diagnosis import diagnose
 from mrd_diagnosis.decision.explanation import Explanation
-from mrd_diagnosis.fitting.base_fit import fit_base, with_effect
+from mrd_diagnosis.fitting.base_fit import FittedBase, fit_base, with_effect
 from mrd_diagnosis.fitting.null_distribution import NullGains
 from mrd_diagnosis.fitting.refit import refit
 from mrd_diagnosis.search import alternative_models
 from mrd_diagnosis.search.alternative_models import fit_alternative_models
 from mrd_diagnosis.search.model_comparison import compare_on, with_effects
-from mrd_diagnosis.search.weighted_forms import stacking_weights
 from mrd_diagnosis.wrong_form import form_causes, partial_explanation
 from mrd_diagnosis.wrong_form.form_remainder import form_columns, form_effects, with_form_remainder
-from mrd_diagnosis.wrong_form.held_cause import holds
+from mrd_diagnosis.wrong_form.robustness import is_robust
+from mrd_diagnosis.wrong_form.stacking import stacking_weights
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
@@ -67,8 +67,8 @@ def late(delay):
 
 @pytest.fixture(scope="module")
 def wrong_form():
-    weighting, base, _, _ = fit_base(BOUC_WEN, None, [prepare_recording(run) for run in runs()], np.random.default_rng(0))
-    return weighting, base
+    fit = fit_base(BOUC_WEN, None, [prepare_recording(run) for run in runs()], np.random.default_rng(0))
+    return fit.weighting, fit.base
 
 
 @settings(max_examples=20)
@@ -162,7 +162,8 @@ def test_at_one_speed_a_cause_is_named_beside_a_wrong_form(play, named):
 def around_own_curve():
     """Sines with a play, and the fit of the damper's own curve to them."""
     recordings = [prepare_recording(run) for run in sines(6e-4)]
-    weighting, base, _, _ = fit_base(find_model("hyperbolic_tangent"), None, recordings, np.random.default_rng(0))
+    fit = fit_base(find_model("hyperbolic_tangent"), None, recordings, np.random.default_rng(0))
+    weighting, base = fit.weighting, fit.base
     return compare_on(weighting, base, [], []), base
 
 
@@ -211,7 +212,8 @@ def test_an_effect_of_the_form_is_judged_beside_the_others(monkeypatch):
         path = make_path(run.time, run.position, run.velocity, np.gradient(run.velocity, run.time), run.current)
         noise = np.random.default_rng(seed).normal(0, FORCE_NOISE, len(run.time))
         recorded.append(prepare_recording(replace(run, force=model.force(theta, path) + noise)))
-    weighting, base, _, _ = fit_base(BOUC_WEN, None, recorded, np.random.default_rng(0))
+    fit = fit_base(BOUC_WEN, None, recorded, np.random.default_rng(0))
+    weighting, base = fit.weighting, fit.base
     complete = with_effects(weighting, base, both, typical)
     thinning = with_effects(weighting, base, ["shear_thinning"], typical)
     leaking = replace(thinning, held_out_costs=2.0 * thinning.held_out_costs)
@@ -268,7 +270,7 @@ def test_the_best_model_of_the_catalogue_leads_to_the_same_cause():
 def test_no_model_is_chosen_for_a_freedom_that_it_will_not_have(wrong_form, monkeypatch):
     """It was chosen with its exponent fitted too, and the diagnosis went on with the usual one."""
     weighting, base = wrong_form
-    monkeypatch.setattr(alternative_models, "fit_base", lambda *_arguments: (weighting, base, [], []))
+    monkeypatch.setattr(alternative_models, "fit_base", lambda *_arguments: FittedBase(weighting, base, [], []))
     freed = weighting.problem(base.problem.model, base.theta, ("exponent",))
     better = replace(base, problem=freed, held_out_costs=0.5 * base.held_out_costs)
     model = find_model("modified_dahl")
@@ -318,7 +320,7 @@ def test_another_form_alone_is_no_effect():
 def test_what_is_unlikely_or_shows_in_one_fold_alone_is_not_named(wrong_form, probability, gains, named):
     _, base = wrong_form
     without, with_effect = (replace(base, held_out_squares=np.array(squares)) for squares in (gains, np.zeros(len(gains))))
-    assert holds(probability, without, with_effect) is named
+    assert is_robust(probability, without, with_effect) is named
 
 
 def growing_play(current):

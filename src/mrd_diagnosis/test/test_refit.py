@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import kstest
 
-from mrd_diagnosis.decision.decision import decide
+from mrd_diagnosis.decision.verdict import verdict_on_gap
 from mrd_diagnosis.diagnosis import RunNoise
 from mrd_diagnosis.fitting.base_fit import BaseFit, with_effect
 from mrd_diagnosis.fitting.null_distribution import draw_null_errors, draw_null_gains
@@ -20,7 +20,7 @@ from mrd_diagnosis.fitting.statistics import (
     certainty,
     closed_fraction,
     effect_parameters,
-    probabilities,
+    model_probabilities,
     tempering_of,
 )
 from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, sum_of_squares, whitening
@@ -196,7 +196,7 @@ def test_a_fit_that_diverged_in_one_fold_makes_nothing_equally_probable():
         )
 
     right, none, wrong = fitted([62.5] * 8, 500.0), fitted([250.0] * 7 + [np.inf], 2000.0), fitted([187.5] * 8, 1500.0)
-    assert probabilities([right, none, wrong], rng)[0] > 0.99
+    assert model_probabilities([right, none, wrong], rng)[0] > 0.99
 
 
 def test_a_score_predicts_the_gain_of_a_fit():
@@ -231,11 +231,11 @@ def test_an_effect_with_which_the_model_diverges_scores_nothing(weighting, alone
 
 def test_a_clearly_better_refit_has_all_the_probability(weighting, alone):
     worse = replace(alone, held_out_costs=alone.held_out_costs * 1.5)
-    assert probabilities([alone, worse], np.random.default_rng(0)) == pytest.approx([1.0, 0.0], abs=1e-3)
-    assert probabilities([alone, alone], np.random.default_rng(0)) == pytest.approx([0.5, 0.5])
+    assert model_probabilities([alone, worse], np.random.default_rng(0)) == pytest.approx([1.0, 0.0], abs=1e-3)
+    assert model_probabilities([alone, alone], np.random.default_rng(0)) == pytest.approx([0.5, 0.5])
     costs = alone.held_out_costs + np.eye(len(alone.held_out_costs))[0] * 50.0
     worse_in_one_fold = replace(alone, held_out_costs=costs)
-    sure = probabilities([alone, worse_in_one_fold], np.random.default_rng(0))[0]
+    sure = model_probabilities([alone, worse_in_one_fold], np.random.default_rng(0))[0]
     assert 0.5 < sure < 1.0  # a bootstrap sample may lack the fold in which they differ
 
 
@@ -243,19 +243,21 @@ def test_a_clearly_better_refit_has_all_the_probability(weighting, alone):
 def test_a_fit_that_diverges_makes_no_others_alike(alone, cost):
     worse, other = (replace(alone, held_out_costs=alone.held_out_costs * factor) for factor in (1.5, 1.1))
     diverged = replace(alone, held_out_costs=alone.held_out_costs * cost)
-    without_it = probabilities([alone, worse, other], np.random.default_rng(0))
-    assert probabilities([alone, worse, other, diverged], np.random.default_rng(0)) == pytest.approx([*without_it, 0.0])
+    without_it = model_probabilities([alone, worse, other], np.random.default_rng(0))
+    assert model_probabilities([alone, worse, other, diverged], np.random.default_rng(0)) == pytest.approx(
+        [*without_it, 0.0]
+    )
 
 
 def test_what_the_best_explanation_leaves_says_how_inexact_formulas_are(alone):
     """The same lead is decisive beside noise, and not beside an error ten times as large."""
     lead, wrong = 0.06, replace(alone, held_out_chi_squares=11.0 * alone.held_out_chi_squares)
-    chances = []
+    probabilities = []
     for best in (alone, wrong):
         others = [replace(best, held_out_costs=best.held_out_costs * (1.0 + behind)) for behind in (0.5, lead)]
-        chances.append(probabilities([best, *others], np.random.default_rng(0))[0])
-    assert chances[0] > 0.95
-    assert 0.55 < chances[1] < 0.75
+        probabilities.append(model_probabilities([best, *others], np.random.default_rng(0))[0])
+    assert probabilities[0] > 0.95
+    assert 0.55 < probabilities[1] < 0.75
 
 
 @given(st.floats(0.0, 0.99), st.floats(0.1, 10.0))
@@ -384,7 +386,7 @@ def verdict(delayed, probabilities_of_delay, p_value_of_delay=0.01):
     comparison, chi_square = delayed
     probabilities_of_causes = {"channel_delay": probabilities_of_delay}
     p_values = {"channel_delay": p_value_of_delay}
-    return decide(comparison, chi_square, probabilities_of_causes, p_values, np.random.default_rng(0))
+    return verdict_on_gap(comparison, chi_square, probabilities_of_causes, p_values, np.random.default_rng(0))
 
 
 def test_a_certain_effect_is_explained_and_an_uncertain_one_is_ambiguous(delayed):
@@ -404,13 +406,13 @@ def test_a_likelier_damper_model_makes_the_effect_unknown(delayed):
 def test_without_a_chosen_effect_a_gap_is_unknown(delayed):
     comparison, chi_square = delayed
     without = comparison.without_effects()
-    assert decide(without, chi_square, {}, {}, np.random.default_rng(0)) == "unknown_effect"
+    assert verdict_on_gap(without, chi_square, {}, {}, np.random.default_rng(0)) == "unknown_effect"
 
 
 def test_an_error_that_noise_explains_is_no_gap(delayed):
     comparison, _ = delayed
     certain = {"channel_delay": {"channel_delay": 1.0}}
-    assert decide(comparison, 1.05, certain, {"channel_delay": 0.01}, np.random.default_rng(0)) == "no_gap"
+    assert verdict_on_gap(comparison, 1.05, certain, {"channel_delay": 0.01}, np.random.default_rng(0)) == "no_gap"
 
 
 @pytest.mark.parametrize("gap", [-1.0, 0.0, 1e-300, 5e-324])

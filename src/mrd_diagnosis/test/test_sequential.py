@@ -66,13 +66,13 @@ def bench_with(effects: dict[str, dict[str, float]], change: Callable[[Run], Run
 
 
 @given(st.lists(st.floats(0.01, 1.0), min_size=2, max_size=4), st.floats(0.0, 1e3), st.floats(1.0, 10.0))
-def test_information_grows_with_the_distance_up_to_the_entropy(chances, distance, factor):
-    names = [f"e{number}" for number in range(len(chances))]
+def test_information_grows_with_the_distance_up_to_the_entropy(probabilities, distance, factor):
+    names = [f"e{number}" for number in range(len(probabilities))]
     pairs = [(a, b) for place, a in enumerate(names) for b in names[place + 1 :]]
-    of = dict(zip(names, chances, strict=True))
+    of = dict(zip(names, probabilities, strict=True))
     near = expected_information(of, {pair: Separation(distance) for pair in pairs})
     far = expected_information(of, {pair: Separation(distance * factor) for pair in pairs})
-    shares = np.array(chances) / sum(chances)
+    shares = np.array(probabilities) / sum(probabilities)
     assert 0.0 <= near <= far + 1e-12
     assert far <= -np.sum(shares * np.log(shares)) + 1e-12
     assert expected_information(of, {pair: Separation(0.0) for pair in pairs}) == pytest.approx(0.0, abs=1e-12)
@@ -82,8 +82,10 @@ def test_information_grows_with_the_distance_up_to_the_entropy(chances, distance
 
 def test_a_formula_that_may_be_wrong_gives_less_information():
     exact, wrong = (Separation(400.0, tempering=tempering) for tempering in (1.0, 0.01))
-    chances = {"a": 0.5, "b": 0.5}
-    assert expected_information(chances, {("a", "b"): wrong}) < expected_information(chances, {("a", "b"): exact})
+    probabilities = {"a": 0.5, "b": 0.5}
+    assert expected_information(probabilities, {("a", "b"): wrong}) < expected_information(
+        probabilities, {("a", "b"): exact}
+    )
 
 
 def test_the_first_set_is_short_and_within_the_limits_of_a_small_bench():

@@ -5,7 +5,7 @@ probabilities are right is measured on dampers that were left out, each with all
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from scipy.special import expit
 
 from mrd_base import InputError
 from mrd_diagnosis.decision.presence import COVERAGE, PresenceModel, cumulative_shares, with_presence
-from mrd_diagnosis.evidence.evidence import AGAINST, Evidence
+from mrd_diagnosis.evidence.evidence import EVIDENCE
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_trials.excitation import SEMIREAL
 from mrd_trials.records import GroundTruth, Submission, WeighedEffect
@@ -101,7 +101,7 @@ def learn(rows: Sequence[Row], trials: Sequence[Mapping[str, Any]]) -> PresenceM
         )
     if len({row.damper for row in rows}) < 2:
         raise InputError("found plants of one form of damper only, expected several: each is left out in turn")
-    names = [entry.name for entry in fields(Evidence)]
+    names = [entry.name for entry in EVIDENCE]
     evidence = np.array([[row.weighed.evidence[name] for name in names] for row in rows])
     dampers = np.array([row.damper for row in rows])
     left_out = {penalty: _left_out(evidence, right, dampers, names, penalty) for penalty in PENALTIES}
@@ -151,10 +151,10 @@ def set_share(rows: Sequence[Row], presence: Array) -> float:
     for row, probability in zip(rows, presence, strict=True):
         if not row.right:
             continue
-        chances = with_presence(row.weighed.table, row.weighed.members, float(probability))
-        ranked = sorted(chances, key=lambda name: -chances[name])
-        places = [ranked.index(cause) for cause in row.causes if cause in chances]
-        shares = cumulative_shares(chances)
+        probabilities = with_presence(row.weighed.table, row.weighed.members, float(probability))
+        ranked = sorted(probabilities, key=lambda name: -probabilities[name])
+        places = [ranked.index(cause) for cause in row.causes if cause in probabilities]
+        shares = cumulative_shares(probabilities)
         before.append((shares[min(places) - 1] if min(places) else 0.0) if places else 1.0)
     rank = min(int(np.ceil((len(before) + 1) * COVERAGE)), len(before))
     # A set is complete once it has more than the share before the effect that belongs to it as the last one.
@@ -185,7 +185,8 @@ def _fit(evidence: Array, right: NDArray[np.bool_], names: Sequence[str], penalt
         value = float(np.logaddexp(0.0, -margin).sum() + 0.5 * penalty * theta[1:] @ theta[1:])
         return value, np.concatenate([[pull.sum()], scaled.T @ pull + penalty * theta[1:]])
 
-    bounds = [(None, None), *((None, 0.0) if name in AGAINST else (0.0, None) for name in names)]
+    against = {entry.name for entry in EVIDENCE if entry.against}
+    bounds = [(None, None), *((None, 0.0) if name in against else (0.0, None) for name in names)]
     theta = minimize(cost, np.zeros(1 + len(names)), jac=True, bounds=bounds, method="L-BFGS-B").x
     weights = theta[1:] / deviation
     return float(theta[0] - mean @ weights), weights

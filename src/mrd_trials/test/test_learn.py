@@ -1,18 +1,19 @@
 """Weights of evidence that are learnt from plants whose effects are known."""
 
 import json
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from mrd_base import InputError
 from mrd_diagnosis.decision.presence import PresenceModel
-from mrd_diagnosis.evidence.evidence import AGAINST, Evidence
+from mrd_diagnosis.evidence.evidence import EVIDENCE
 from mrd_trials.learn import Row, learn, rows_of, set_share
 from mrd_trials.records import GroundTruth, Submission, WeighedEffect
 
-NAMES = [entry.name for entry in fields(Evidence)]
+NAMES = [entry.name for entry in EVIDENCE]
+AGAINST = {entry.name for entry in EVIDENCE if entry.against}
 
 
 def truth(plant, causes, *, excitation="rich", kind="single", implied=(), background=""):
@@ -73,9 +74,9 @@ def test_what_tells_right_from_wrong_gets_the_weight():
 
 def test_sets_hold_the_true_effect_in_nine_of_ten_cases():
     def row(place):
-        chances = {"end_stop": 0.4, "gas_spring": 0.3, "backlash": 0.2, "settling": 0.1}
-        entry = WeighedEffect("end_stop", tuple(chances), 0.5, dict.fromkeys(NAMES, 0.5), chances)
-        return Row("damper", entry, frozenset([list(chances)[place]]))
+        probabilities = {"end_stop": 0.4, "gas_spring": 0.3, "backlash": 0.2, "settling": 0.1}
+        entry = WeighedEffect("end_stop", tuple(probabilities), 0.5, dict.fromkeys(NAMES, 0.5), probabilities)
+        return Row("damper", entry, frozenset([list(probabilities)[place]]))
 
     def share(*rows):
         return set_share(rows, np.full(len(rows), 1.0))

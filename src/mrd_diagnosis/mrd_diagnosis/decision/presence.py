@@ -6,7 +6,7 @@ with the trials from which they were learnt; `ros2 run mrd_trials learn` makes t
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from mrd_diagnosis.evidence.evidence import Evidence
+from mrd_diagnosis.evidence.evidence import EVIDENCE
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class PresenceModel:
     intercept : float
         Log odds where all evidence is 0.
     weights : mapping
-        Change of the log odds by one unit of each number of an `Evidence`, by name.
+        Change of the log odds by one unit of each piece of evidence, by name.
     deviations : mapping
         Standard deviation of each number among the plants from which they were learnt.
     set_share : float
@@ -51,7 +51,7 @@ class PresenceModel:
     card: Mapping[str, Any]
 
     def probability(self, evidence: Mapping[str, float]) -> float:
-        """Return the probability of presence from the numbers of an `Evidence` by name."""
+        """Return the probability of presence from the evidence by name."""
         return float(expit(self.intercept + sum(weight * evidence[name] for name, weight in self.weights.items())))
 
 
@@ -61,9 +61,9 @@ def presence_model() -> PresenceModel:
     return PresenceModel(**json.loads(FILE.read_text(encoding="utf-8")))
 
 
-def presence_of(evidence: Evidence) -> float:
-    """Return the probability that the class of an effect is there."""
-    return presence_model().probability(evidence.as_dict())
+def presence_of(evidence: Mapping[str, float]) -> float:
+    """Return the probability that the class of an effect is there, from its evidence by name."""
+    return presence_model().probability(evidence)
 
 
 def with_presence(table: Mapping[str, float], members: Sequence[str], presence: float) -> dict[str, float]:
@@ -81,27 +81,27 @@ def with_presence(table: Mapping[str, float], members: Sequence[str], presence: 
     presence : float
     """
     of_class = sum(table[name] for name in members)
-    others = {name: chance for name, chance in table.items() if name and name not in members}
+    others = {name: probability for name, probability in table.items() if name and name not in members}
     left = min(1.0, (1.0 - presence) / max(sum(others.values()), 1e-300))
     shares = {name: presence * table[name] / of_class if of_class > 0.0 else presence / len(members) for name in members}
-    return shares | {name: left * chance for name, chance in others.items()}
+    return shares | {name: left * probability for name, probability in others.items()}
 
 
-def plausible_set(chances: Mapping[str, float]) -> tuple[str, ...]:
+def plausible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:
     """Return the effects among which the cause is in nine of ten cases where its class is right, likeliest first.
 
     Parameters
     ----------
-    chances : mapping
+    probabilities : mapping
         Probability of each effect in its place by name.
     """
-    ranked = sorted(chances, key=lambda name: -chances[name])
-    return tuple(ranked[: 1 + int(np.sum(cumulative_shares(chances)[:-1] < presence_model().set_share))])
+    ranked = sorted(probabilities, key=lambda name: -probabilities[name])
+    return tuple(ranked[: 1 + int(np.sum(cumulative_shares(probabilities)[:-1] < presence_model().set_share))])
 
 
-def cumulative_shares(chances: Mapping[str, float]) -> Array:
+def cumulative_shares(probabilities: Mapping[str, float]) -> Array:
     """Return the share (effects,) of the probability that the likeliest effects have together: one, two, ..."""
-    ordered = np.sort(list(chances.values()))[::-1]
+    ordered = np.sort(list(probabilities.values()))[::-1]
     return np.asarray(np.cumsum(ordered) / max(ordered.sum(), 1e-300))
 
 
@@ -110,7 +110,9 @@ def markdown_table() -> str:
     model = presence_model()
     rows = ["| evidence | meaning | weight |", "|---|---|---|"]
     rows += [
-        f"| `{entry.name}` | {entry.metadata['meaning']} | {model.weights[entry.name] * model.deviations[entry.name]:+.2f} |"
-        for entry in fields(Evidence)
+        f"| `{entry.name}` | {entry.meaning} | {model.weights[entry.name] * model.deviations[entry.name]:+.2f} |"
+        if entry.name in model.weights
+        else f"| `{entry.name}` | {entry.meaning} | not learnt yet |"
+        for entry in EVIDENCE
     ]
     return "\n".join(rows) + "\n"

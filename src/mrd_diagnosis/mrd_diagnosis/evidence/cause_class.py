@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.diagnosis import Level, Member
+from mrd_diagnosis.diagnosis import Member
 from mrd_diagnosis.fitting.refit import Refit
 from mrd_diagnosis.fitting.statistics import effect_parameters
 from mrd_diagnosis.search.model_comparison import NO_EFFECT
@@ -19,7 +19,7 @@ from mrd_sim.effects import EFFECTS
 Array = NDArray[np.float64]
 
 
-def class_of(effect: str, refits: Mapping[str, Refit], chances: Mapping[str, float]) -> tuple[Member, ...]:
+def class_of(effect: str, refits: Mapping[str, Refit], probabilities: Mapping[str, float]) -> tuple[Member, ...]:
     """Return the effects among which recordings do not decide: ``effect`` first, then those that imitate it.
 
     Parameters
@@ -28,22 +28,22 @@ def class_of(effect: str, refits: Mapping[str, Refit], chances: Mapping[str, flo
         The most probable one.
     refits : mapping
         Refits by name: with the effect, with another one in its place, and with none (`NO_EFFECT`).
-    chances : mapping
+    probabilities : mapping
         Their probabilities by name.
     """
     alike = imitations(effect, refits)
     members = [
         name
-        for name, chance in sorted(chances.items(), key=lambda item: -item[1])
+        for name, probability in sorted(probabilities.items(), key=lambda item: -item[1])
         if name != effect
         and name in EFFECTS
-        and chance >= THRESHOLDS.listed_probability
+        and probability >= THRESHOLDS.listed_probability
         and alike.get(name, 0.0) >= THRESHOLDS.least_imitation
     ]
     return tuple(
         Member(
             name,
-            float(chances[name]),
+            float(probabilities[name]),
             alike.get(name, 1.0),
             {key: value for key, value in effect_parameters(refits[name]).items() if key.startswith(f"{name}.")},
         )
@@ -72,22 +72,6 @@ def imitations(effect: str, refits: Mapping[str, Refit]) -> dict[str, float]:
         for name, refitted in refits.items()
         if name != effect and name in EFFECTS
     }
-
-
-def level_of(effect: str, members: tuple[Member, ...], chances: Mapping[str, float]) -> Level:
-    """Return what can be said of a cause: the effect, its class, its stage, or nothing.
-
-    The effect is named where it is alone in its class or clearly the likeliest one of it; the class where it is likelier
-    than all other effects together; the stage where the effects that act in it are.
-    """
-    of_class = sum(member.probability for member in members)
-    needed = THRESHOLDS.named_support * sum(chance for name, chance in chances.items() if name)
-    if of_class >= needed:
-        clear = members[0].probability >= THRESHOLDS.named_probability * of_class
-        return "effect" if clear else "class"
-    stage = EFFECTS[effect].stage
-    of_stage = sum(chance for name, chance in chances.items() if name in EFFECTS and EFFECTS[name].stage == stage)
-    return "stage" if of_stage >= needed else "undecided"
 
 
 def class_name(effects: Sequence[str]) -> str:

@@ -69,7 +69,7 @@ def advise(
     weighting: Weighting,
     rng: np.random.Generator | None = None,
     *,
-    chances: Mapping[str, float] | None = None,
+    probabilities: Mapping[str, float] | None = None,
     without: Refit | None = None,
     bench: GeneratorSettings | None = None,
     progress: Callable[[float], None] = ignore,
@@ -83,7 +83,7 @@ def advise(
     weighting : Weighting
     rng : numpy Generator, optional
         Source of the errors that are drawn. Without one, the same errors are drawn each time.
-    chances : mapping, optional
+    probabilities : mapping, optional
         Probability of each explanation; by default, all are as likely.
     without : Refit, optional
         The model without what the explanations explain the gap by. With it, an experiment must separate the explanations by
@@ -121,8 +121,8 @@ def advise(
         pair = next(itertools.combinations(explanations, 2))
         text = f"No experiment that can be advised is safe: each would exceed {bench.limits.force:g} N or another limit."
         return Advice(f"{text} {_sensor_for(pair, predictor)}", between=pair)
-    chances = chances or dict.fromkeys(explanations, 1.0)
-    planned, separations = max(safe, key=lambda item: _merit(item[0], item[1], chances))
+    probabilities = probabilities or dict.fromkeys(explanations, 1.0)
+    planned, separations = max(safe, key=lambda item: _merit(item[0], item[1], probabilities))
     open_pairs = [pair for pair, separation in separations.items() if not separation.is_conclusive]
     worst_pair = max(open_pairs, key=lambda pair: separations[pair].error_rate, default=None)
     if worst_pair and len(open_pairs) == len(separations):
@@ -181,13 +181,15 @@ def _advise_sensor(best: Plan, pair: Pair, separation: Separation, predictor: Pr
     return Advice(f"{text} {_sensor_for(pair, predictor)}", between=pair)
 
 
-def _merit(planned: Plan, separations: Mapping[Pair, Separation], chances: Mapping[str, float]) -> tuple[bool, float, float]:
+def _merit(
+    planned: Plan, separations: Mapping[Pair, Separation], probabilities: Mapping[str, float]
+) -> tuple[bool, float, float]:
     """Return whether a run tells any explanations apart, its information per second, and, where that is nothing, its largest
     squared distance per second.
     """
     decides = any(separation.is_conclusive for separation in separations.values())
     farthest = max(separation.squared_distance for separation in separations.values())
-    return decides, expected_information(chances, separations) / planned.duration, farthest / planned.duration
+    return decides, expected_information(probabilities, separations) / planned.duration, farthest / planned.duration
 
 
 def _rate(weighting: Weighting) -> float:

@@ -13,7 +13,7 @@ that is not recorded yet is inexact, so that the experiment is better whose answ
 """
 
 
-def expected_information(chances: Mapping[str, float], separations: Mapping[Pair, Separation]) -> float:
+def expected_information(probabilities: Mapping[str, float], separations: Mapping[Pair, Separation]) -> float:
     """Return a lower bound in nats of the information that an experiment gives about which explanation is true.
 
     What a run shows is a mixture of what the explanations predict, each with its probability. Its entropy is bounded by the
@@ -23,13 +23,13 @@ def expected_information(chances: Mapping[str, float], separations: Mapping[Pair
 
     Parameters
     ----------
-    chances : mapping
+    probabilities : mapping
         Probability of each explanation by name, before the experiment. Their sum does not count.
     separations : mapping
         For each pair of them.
     """
-    names = list(chances)
-    probability = np.array([chances[name] for name in names], dtype=float)
+    names = list(probabilities)
+    probability = np.array([probabilities[name] for name in names], dtype=float)
     total = probability.sum()
     probability = probability / total if total > 0.0 else np.full(len(names), 1.0 / len(names))
     distances = np.zeros((len(names), len(names)))

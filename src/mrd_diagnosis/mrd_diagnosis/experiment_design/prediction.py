@@ -43,7 +43,7 @@ class StateAfterRuns:
 
 
 @dataclass(frozen=True)
-class Explanation:
+class RivalModel:
     """A model with effects, and what the recorded runs say about its parameters.
 
     Attributes
@@ -91,7 +91,7 @@ class Explanation:
         """Ids of the effects in the model."""
         return frozenset(effect.id for effect in self.problem.model.effects)
 
-    def is_nested_in(self, other: "Explanation") -> bool:
+    def is_nested_in(self, other: "RivalModel") -> bool:
         """Whether the other explanation is the same damper model with more effects."""
         return self.problem.model.id == other.problem.model.id and self.effects < other.effects
 
@@ -107,7 +107,7 @@ class Explanation:
 class UpdatedProblem(WeightedProblem):
     """The problem of fitting an explanation to one further run and, by its normal matrix, to the recorded runs."""
 
-    explanation: Explanation
+    explanation: RivalModel
 
     def forces(self, theta: Array) -> Array:
         """Return the modelled force (n,) in N of the further run, or with its derivatives (n, 1 + lanes)."""

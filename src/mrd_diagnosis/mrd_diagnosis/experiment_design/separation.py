@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtr
 
-from mrd_diagnosis.experiment_design.prediction import Explanation, UpdatedProblem
+from mrd_diagnosis.experiment_design.prediction import RivalModel, UpdatedProblem
 from mrd_diagnosis.fitting.refit import Refit
 from mrd_diagnosis.fitting.statistics import certainty, error_dispersion, tempering_of
 from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, whitening
@@ -105,15 +105,15 @@ class Predictor:
     motion_errors : tuple of ndarray (4, n)
         Drawn errors of smoothed motions: time in s, position in m, velocity in m/s, acceleration in m/s². They are drawn for
         recorded runs, so that they are correlated in time as there.
-    without : Explanation, optional
+    without : RivalModel, optional
         The model without what the explanations explain the gap by.
     """
 
-    explanations: Mapping[str, Explanation]
+    explanations: Mapping[str, RivalModel]
     weighting: Weighting
     noise: float
     motion_errors: tuple[Array, ...]
-    without: Explanation | None = None
+    without: RivalModel | None = None
 
     @classmethod
     def from_refits(
@@ -128,11 +128,11 @@ class Predictor:
             drawn.append(np.stack([time - time[0], *(series[0] for series in errors)]))
         force_variance = float(np.mean([noise.force**2 for noise in weighting.noise]))
         return cls(
-            {name: Explanation.from_refit(refit, weighting.fixed) for name, refit in refits.items()},
+            {name: RivalModel.from_refit(refit, weighting.fixed) for name, refit in refits.items()},
             weighting,
             float(np.hypot(np.sqrt(force_variance), weighting.discrepancy)),
             tuple(drawn),
-            Explanation.from_refit(without, weighting.fixed) if without else None,
+            RivalModel.from_refit(without, weighting.fixed) if without else None,
         )
 
     def separations(self, planned: Plan, largest_force: float, rng: np.random.Generator) -> dict[Pair, Separation] | None:
@@ -168,7 +168,7 @@ class Predictor:
             )
         return separations
 
-    def distance(self, predicted: PredictedRun, explanation: Explanation) -> float:
+    def distance(self, predicted: PredictedRun, explanation: RivalModel) -> float:
         """Return the squared distance of a predicted run from an explanation that is fitted to it and to the runs before."""
         problem = explanation.problem
         # As in `Weighting.problem`.
@@ -222,7 +222,7 @@ class Predictor:
             predicted[name] = PredictedRun(recording, sigma, dispersion)
         return predicted
 
-    def _gap(self, without: Explanation, predicted: PredictedRun) -> float:
+    def _gap(self, without: RivalModel, predicted: PredictedRun) -> float:
         """Return the squared white error without an explanation: of recorded runs beyond the best, and of the new one."""
         recorded = without.held_out_cost - min(explanation.held_out_cost for explanation in self.explanations.values())
         return recorded + predicted.dispersion * self.distance(predicted, without)

@@ -61,9 +61,29 @@ class BaseFit:
         return self.refit.effects
 
 
+@dataclass(frozen=True)
+class FittedBase:
+    """The model without effects, fitted to recordings.
+
+    Attributes
+    ----------
+    weighting : Weighting
+    base : Refit
+    null_errors : list of ndarray
+        Errors of this model by noise alone, see `mrd_diagnosis.fitting.null_distribution.draw_null_errors`.
+    notes : list of str
+        What limits the fit.
+    """
+
+    weighting: Weighting
+    base: Refit
+    null_errors: list[Array]
+    notes: list[str]
+
+
 def fit_base(
     model: DamperModel, parameters: Array | None, recordings: Sequence[Recording], rng: np.random.Generator
-) -> tuple[Weighting, Refit, list[Array], list[str]]:
+) -> FittedBase:
     """Fit the model without effects.
 
     Parameters
@@ -73,15 +93,6 @@ def fit_base(
         Parameters of the simulator as it is, from which the fit starts.
     recordings : sequence of Recording
     rng : numpy Generator
-
-    Returns
-    -------
-    weighting : Weighting
-    base : Refit
-    null_errors : list of ndarray
-        Errors of this model by noise alone, see `mrd_diagnosis.fitting.null_distribution.draw_null_errors`.
-    notes : list of str
-        What limits the fit.
     """
     # The lag behind the current is a candidate, unless the simulator has one already.
     fixed = {} if parameters is not None and parameters[model.names.index("coil_lag")] > 0.0 else {"coil_lag": 0.0}
@@ -93,7 +104,8 @@ def fit_base(
     weighting = Weighting(recordings, noise, usual_run_scatter(model.scales), fixed).updated(model, theta)
     problem = weighting.problem(model, theta)
     null_errors = draw_null_errors(problem, theta, [of_run.force for of_run in weighting.noise], weighting.scatter, rng)
-    return weighting, refit(problem, theta, weighting.folds, null_errors), null_errors, notes
+    base = refit(problem, theta, weighting.folds, null_errors)
+    return FittedBase(weighting, base, null_errors, notes)
 
 
 def global_fit(

@@ -45,7 +45,7 @@ def tempering_of(dispersion: float, gap: float) -> float:
     return min(1.0, dispersion / (0.5 * THRESHOLDS.formula_error * max(gap, LEAST_GAP)))
 
 
-def probabilities(alternatives: Sequence[Refit], rng: np.random.Generator) -> Array:
+def model_probabilities(alternatives: Sequence[Refit], rng: np.random.Generator) -> Array:
     """Return the probability (alternatives,) of each refit to be the one that predicts held-out folds best.
 
     The likelihood of the held-out white error, tempered by its correlation in time and by the reduced chi-square that even

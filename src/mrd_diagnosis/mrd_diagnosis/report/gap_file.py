@@ -195,7 +195,7 @@ def _rejected(entry: Rejected) -> dict[str, Any]:
         "effect": entry.effect,
         "rule": entry.rule,
         "why": entry.why,
-        "seen": entry.seen,
+        "seen": entry.chosen,
         "probability": finite_or_none(entry.probability),
         **_closed_fraction(entry.closed_fraction),
         "p_value": finite_or_none(entry.p_value),

@@ -214,7 +214,7 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
                 format_share(entry.closed_fraction),
             )
             for entry in diagnosis.rejected
-            if entry.seen
+            if entry.chosen
         ],
         "remains": _remains(diagnosis, gap) if diagnosis.verdict == "partly_explained" else [],
         "nearest": nearest,
@@ -401,8 +401,10 @@ def _cause_facts(diagnosis: Diagnosis, cause: Cause, gap: Gap) -> str:
     else:
         certainty = f"probability {format_probability(cause.probability)}"
     if cause.level == "class":
-        chances = [f"{effect_name(other.effect)} ({format_probability(other.probability)})" for other in cause.members[1:]]
-        certainty += f" · these runs do not tell it from {join_words(chances, 'or')}"
+        probabilities = [
+            f"{effect_name(other.effect)} ({format_probability(other.probability)})" for other in cause.members[1:]
+        ]
+        certainty += f" · these runs do not tell it from {join_words(probabilities, 'or')}"
     # The only cause removes what is said at the top of the page; the part of one of several causes is known by segments.
     single = diagnosis.corrected is not None and diagnosis.corrected.effects == (cause.effect,)
     share = format_share(gap.closed_fraction) if single else f"{format_share(cause.closed_fraction)} (by segments)"

@@ -5,11 +5,12 @@ import shlex
 from collections.abc import Sequence
 
 from mrd_base.tool import command, has_workspace
-from mrd_diagnosis.decision.honesty import SEEN, gap_making_limitations
+from mrd_diagnosis.decision.rejection_rules import leaves_open
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap, Rejected
 from mrd_diagnosis.evidence.cause_class import class_name
 from mrd_diagnosis.localisation.sentence import agreement_sentence, where_sentence
 from mrd_diagnosis.recordings.closed_loop import review_commands
+from mrd_diagnosis.recordings.imitating_limitations import gap_making_limitations
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.wording.effect_names import STAGE_NAMES, effect_clause, effect_name, effect_names
 from mrd_diagnosis.wording.quantities import capitalised, format_error, format_probability, format_share, join_words
@@ -149,7 +150,7 @@ def _in_common(cause: Cause) -> str:
 
 def _seen_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that effects close the gap or come nearest, but with sizes that the recordings do not determine."""
-    seen = [entry for entry in diagnosis.rejected if entry.seen and entry.rule in SEEN]
+    seen = [entry for entry in diagnosis.rejected if entry.chosen and leaves_open(entry.rule)]
     sentences = [f"Seen, not determined: {join_words([effect_clause(entry.effect, entry.parameters) for entry in seen])}."]
     sentences += [f"{capitalised(effect_name(entry.effect))} is not named as a cause: {entry.why}." for entry in seen]
     if math.isfinite(gap.closed_fraction.value):
@@ -169,12 +170,12 @@ def _seen_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
 
 def is_seen(diagnosis: Diagnosis) -> bool:
     """Whether an effect comes nearest to the gap that is not named because its size is not determined."""
-    return any(entry.seen and entry.rule in SEEN for entry in diagnosis.rejected)
+    return any(entry.chosen and leaves_open(entry.rule) for entry in diagnosis.rejected)
 
 
 def limited_effects(diagnosis: Diagnosis) -> list[Rejected]:
     """Return the effects that are no part of the best explanation, close much, and stand at the limit of their range."""
-    limited = [entry for entry in diagnosis.rejected if entry.rule == "on_bound" and not entry.seen]
+    limited = [entry for entry in diagnosis.rejected if entry.rule == "on_bound" and not entry.chosen]
     notable = [entry for entry in limited if entry.closed_fraction.value >= THRESHOLDS.least_share_first]
     return sorted(notable, key=lambda entry: -entry.closed_fraction.value)
 
@@ -194,7 +195,7 @@ def _partly_explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     sentences += [
         f"It seems as well that {effect_clause(entry.effect, entry.parameters)}; this is not named as a cause: {entry.why}."
         for entry in diagnosis.rejected
-        if entry.seen
+        if entry.chosen
     ]
     for cause in diagnosis.causes:
         members = [member.effect for member in cause.members] if cause.level == "class" else []
@@ -346,7 +347,9 @@ def next_step(diagnosis: Diagnosis) -> str:
 
 def _step_to_determine(diagnosis: Diagnosis) -> str:
     """Return what to do where effects are seen, but not determined."""
-    limited = [entry for entry in diagnosis.rejected if entry.rule == "on_bound" and entry.seen] + limited_effects(diagnosis)
+    limited = [entry for entry in diagnosis.rejected if entry.rule == "on_bound" and entry.chosen] + limited_effects(
+        diagnosis
+    )
     steps = []
     if limited:
         ids = join_words(list(dict.fromkeys(entry.effect for entry in limited)))
@@ -354,7 +357,7 @@ def _step_to_determine(diagnosis: Diagnosis) -> str:
             f"Check whether your rig can have more of it than the plausible range of {ids} allows. If so, declare it "
             "with a wider range in a file of your own (docs/effects.md) and diagnose the runs again."
         )
-    if any(entry.rule != "on_bound" for entry in diagnosis.rejected if entry.seen):
+    if any(entry.rule != "on_bound" for entry in diagnosis.rejected if entry.chosen):
         steps.append(
             "Record runs with other speeds, strokes and currents, which determine the size, and diagnose all together."
         )
@@ -453,7 +456,9 @@ def cause_clause(cause: Cause) -> str:
         return clause
     others = [effect_clause(member.effect, member.parameters) for member in cause.members[1:]]
     likely = [format_probability(member.probability) for member in cause.members]
-    either = join_words([f"{text} ({chance})" for text, chance in zip([clause, *others], likely, strict=True)], "or")
+    either = join_words(
+        [f"{text} ({probability})" for text, probability in zip([clause, *others], likely, strict=True)], "or"
+    )
     name = class_name([member.effect for member in cause.members])
     return f"{name}, which is either that {either}" if name else f"either {either}"
 

@@ -69,10 +69,10 @@ def best_model(start: DamperModel, recordings: Sequence[Recording], rng: np.rand
     recordings : sequence of Recording
     rng : numpy Generator
     """
-    weighting, base, _, _ = fit_base(start, None, recordings, rng)
-    others = fit_alternative_models(weighting, base, -np.inf, rng)
+    fit = fit_base(start, None, recordings, rng)
+    others = fit_alternative_models(fit.weighting, fit.base, -np.inf, rng)
     # The diagnosis would go on without the freedom of a model with more parameters fitted.
-    refits = [base, *(refitted for refitted in others.values() if all(p.free for p in refitted.problem.parameters))]
+    refits = [fit.base, *(refitted for refitted in others.values() if all(p.free for p in refitted.problem.parameters))]
     return min(refits, key=lambda refitted: refitted.held_out_cost).problem.model
 
 

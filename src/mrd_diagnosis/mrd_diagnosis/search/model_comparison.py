@@ -81,11 +81,11 @@ class ModelComparison:
         return replace(self, alternatives=alternatives, alternative_model=best)
 
 
-Compared = Callable[[ModelComparison], ModelComparison]
-"""What refits a comparison in another way."""
+RefitComparison = Callable[[ModelComparison], ModelComparison]
+"""What refits a comparison in another way, such as with a user's simulator in the loop."""
 
 
-def as_it_is(comparison: ModelComparison) -> ModelComparison:
+def unchanged(comparison: ModelComparison) -> ModelComparison:
     """Return a comparison as it is."""
     return comparison
 
@@ -203,3 +203,18 @@ def with_effects(weighting: Weighting, refitted: Refit, effects: Sequence[str], 
             model, theta = with_effect(model, theta, effect)
     theta = np.array([values.get(n, v) if "." in n else v for n, v in zip(model.names, theta, strict=True)])
     return refit(weighting.problem(model, theta), theta, weighting.folds)
+
+
+def with_chain(
+    comparison: ModelComparison,
+    effects: Sequence[str],
+    values: Mapping[str, float],
+    alternatives: Mapping[str, dict[str, Refit]] | None = None,
+) -> ModelComparison:
+    """Refit the base model of a comparison with one effect more at a time; the alternatives are given, or only the effects
+    themselves.
+    """
+    weighting, base = comparison.weighting, comparison.base
+    chain = tuple(with_effects(weighting, base, effects[: count + 1], values) for count in range(len(effects)))
+    known = dict(alternatives) if alternatives is not None else {effect: {effect: chain[-1]} for effect in effects}
+    return replace(comparison, chain=chain, effects=tuple(effects), alternatives=known)

@@ -80,7 +80,9 @@ def to_json(outcome: SequentialDiagnosis) -> dict[str, Any]:
 
 
 def _row(of_round: Round) -> dict[str, Any]:
-    candidates = [(effect_name(effect), format_probability(chance)) for effect, chance in of_round.candidates.items()]
+    candidates = [
+        (effect_name(effect), format_probability(probability)) for effect, probability in of_round.candidates.items()
+    ]
     return {
         "number": of_round.number,
         "recordings": [run.name for run in of_round.runs],

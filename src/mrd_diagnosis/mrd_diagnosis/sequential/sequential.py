@@ -179,9 +179,9 @@ def open_candidates(diagnosis: Diagnosis) -> dict[str, float]:
     entries = [(cause.effect, cause.probability) for cause in diagnosis.causes]
     entries += [(member.effect, member.probability) for cause in diagnosis.causes for member in cause.members]
     entries += [(alternative.effect, alternative.probability) for alternative in diagnosis.alternatives]
-    for effect, chance in entries:
-        if chance >= THRESHOLDS.listed_probability:
-            found[effect] = max(chance, found.get(effect, 0.0))
+    for effect, probability in entries:
+        if probability >= THRESHOLDS.listed_probability:
+            found[effect] = max(probability, found.get(effect, 0.0))
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
@@ -223,8 +223,8 @@ def _added(before: dict[str, float], after: dict[str, float], diagnosis: Diagnos
         return diagnosis.sentence
     if not after:
         return "No effect of the catalogue is likely to be the cause."
-    lead, chance = next(iter(after.items()))
-    now = probability_clause(chance)
+    lead, probability = next(iter(after.items()))
+    now = probability_clause(probability)
     if not before:
         if len(after) == 1:
             return f"One effect may be the cause: {effect_name(lead)}, with {now}."

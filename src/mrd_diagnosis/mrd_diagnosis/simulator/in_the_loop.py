@@ -94,7 +94,7 @@ class SimulatorInLoop:
     plain: Array
     failure: str = ""
 
-    def compared(self, comparison: ModelComparison) -> ModelComparison:
+    def refit_comparison(self, comparison: ModelComparison) -> ModelComparison:
         """Return a comparison whose chosen effects and nearest rivals were refitted with the simulator in the loop."""
         if self.failure:
             return comparison

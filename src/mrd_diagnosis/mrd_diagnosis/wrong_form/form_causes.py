@@ -6,17 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.closure.closure import closed_fraction_between
+from mrd_diagnosis.decision.explanation import RobustCause
 from mrd_diagnosis.evidence.cause_class import class_of
 from mrd_diagnosis.fitting.base_fit import BaseFit
 from mrd_diagnosis.fitting.null_distribution import NullGains
 from mrd_diagnosis.fitting.refit import CONVERGED, Refit
-from mrd_diagnosis.fitting.statistics import probabilities
+from mrd_diagnosis.fitting.statistics import model_probabilities
 from mrd_diagnosis.fitting.weighting import Weighting
 from mrd_diagnosis.recordings.limitations import contains
 from mrd_diagnosis.search.effect_search import ROUGHLY_CONVERGED, refit_with_effects
 from mrd_diagnosis.search.model_comparison import NO_EFFECT, ModelComparison, refit_in_its_place, refit_without, with_effects
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_diagnosis.wrong_form.held_cause import HeldCause, holds, holds_in_halves, leads, probabilities_in_place
+from mrd_diagnosis.wrong_form.robustness import is_robust, leads, predicts_both_halves, probabilities_in_place
 from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]
@@ -34,7 +35,7 @@ def name_form_causes(
     others: Sequence[Refit],
     null_gains: NullGains,
     rng: np.random.Generator,
-) -> tuple[dict[str, HeldCause], Refit]:
+) -> tuple[dict[str, RobustCause], Refit]:
     """Return the effects that hold as a part of the form, and the model with them.
 
     Together they close most of what lies between the cost of ``explained``, the model with all other causes, and the cost
@@ -50,7 +51,7 @@ def name_form_causes(
         causes = {}
         for effect in added:
             without = refit_without(weighting, fitted, effect) if effect in before.effects else before
-            if cause := _held_cause(effect, without, fitted, comparison, candidates, others, null_gains, rng):
+            if cause := _robust_cause(effect, without, fitted, comparison, candidates, others, null_gains, rng):
                 causes[effect] = cause
         if len(causes) == len(added):
             return causes, fitted
@@ -58,7 +59,7 @@ def name_form_causes(
     return {}, explained
 
 
-def _held_cause(
+def _robust_cause(
     effect: str,
     without: Refit,
     fitted: Refit,
@@ -67,23 +68,25 @@ def _held_cause(
     others: Sequence[Refit],
     null_gains: NullGains,
     rng: np.random.Generator,
-) -> HeldCause | None:
+) -> RobustCause | None:
     """Return an effect of the form with what it does, or None where it does not hold; arguments as of `name_form_causes`."""
     weighting = comparison.weighting
     lacking = [form for form in others if not contains(form.problem.model, effect)]
     instead = [with_effects(weighting, form, without.effects, without.values) for form in lacking[:1]]
-    support = float(probabilities([fitted, *instead], rng)[0])
-    if support < THRESHOLDS.named_probability or not holds(support, without, fitted) or not holds_in_halves(without, fitted):
+    support = float(model_probabilities([fitted, *instead], rng)[0])
+    if support < THRESHOLDS.named_probability or not (
+        is_robust(support, without, fitted) and predicts_both_halves(without, fitted)
+    ):
         return None
     alike = [name for name in EFFECTS[effect].confused_with if name in candidates and name not in fitted.effects]
     refits = {effect: fitted, NO_EFFECT: without} | refit_in_its_place(weighting, without, alike)
-    chances = probabilities_in_place(refits, support, rng)
-    members = class_of(effect, refits, chances)
-    if not leads(effect, chances, members):
+    probabilities = probabilities_in_place(refits, support, rng)
+    members = class_of(effect, refits, probabilities)
+    if not leads(effect, probabilities, members):
         return None
     gain = float(without.held_out_cost - fitted.held_out_cost)
     closed = closed_fraction_between(without, fitted, comparison, rng)
-    return HeldCause(chances, null_gains.p_value(gain, fitted.problem), closed, members)
+    return RobustCause(probabilities, null_gains.p_value(gain, fitted.problem), closed, members)
 
 
 def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effects: Sequence[str]) -> list[Refit]:

@@ -14,18 +14,10 @@ from mrd_base.progress import ignore
 from mrd_diagnosis.decision.presence import presence_of, with_presence
 from mrd_diagnosis.diagnosis import Member, ParameterEstimate, WeighedEffect
 from mrd_diagnosis.evidence.cause_class import class_of
-from mrd_diagnosis.evidence.evidence import (
-    Evidence,
-    balance_of_folds,
-    balance_of_halves,
-    drift_over_runs,
-    kept_size,
-    lead_over,
-    share_closed,
-)
+from mrd_diagnosis.evidence.evidence import FitsOfEffect, measure_evidence
 from mrd_diagnosis.fitting.base_fit import BaseFit
 from mrd_diagnosis.fitting.refit import Refit, refit_on
-from mrd_diagnosis.fitting.statistics import effect_parameters, probabilities
+from mrd_diagnosis.fitting.statistics import effect_parameters, model_probabilities
 from mrd_diagnosis.fitting.weighting import Weighting
 from mrd_diagnosis.recordings.limitations import contains
 from mrd_diagnosis.search.effect_search import BEST_SCORES, MOST_CAUSES, ROUGHLY_CONVERGED, EffectFit, refit_with_effects
@@ -38,7 +30,7 @@ from mrd_diagnosis.search.model_comparison import (
 )
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.wrong_form.form_remainder import with_form_remainder
-from mrd_diagnosis.wrong_form.held_cause import holds_in_halves
+from mrd_diagnosis.wrong_form.robustness import predicts_both_halves
 from mrd_sim.effects import EFFECTS
 
 Progress = Callable[[float], None]
@@ -54,7 +46,28 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
-class Weighed:
+class Table:
+    """The hypotheses of one place, and the probability of each effect in it, and of none, by name, best first."""
+
+    hypotheses: Sequence[Hypothesis]
+    probabilities: Mapping[str, float]
+
+    @property
+    def by_form(self) -> tuple[dict[str, Refit], ...]:
+        """The refits of each form by effect, in the order of the forms."""
+        refits: dict[str, dict[str, Refit]] = {}
+        for entry in self.hypotheses:
+            refits.setdefault(entry.form, {})[entry.effect] = entry.refit
+        return tuple(refits.values())
+
+    def members(self, effect: str) -> tuple[Member, ...]:
+        """Return the class of an effect, around the first form."""
+        of_effects = {name: value for name, value in self.probabilities.items() if name != NO_EFFECT}
+        return class_of(effect, self.by_form[0], of_effects)
+
+
+@dataclass(frozen=True)
+class LeadingEffect:
     """An effect that leads in its place, with all that speaks for it and against it.
 
     Attributes
@@ -62,25 +75,26 @@ class Weighed:
     effect : str
     table : dict
         Probability of each effect in the table of its place, and of none, by name.
-    chances : dict
+    probabilities : dict
         Probability of each effect in its place, itself included, by name, with the learnt one of its class.
     members : tuple of Member
         Its class.
     without, fitted : Refit
         The first form with the other effects, and with this one as well.
-    evidence : Evidence
-    sizes : tuple of mapping
+    evidence : mapping
+        The numbers of `mrd_diagnosis.evidence.evidence.EVIDENCE` by name.
+    parameters_by_form : tuple of mapping
         Its parameters with intervals around each form.
     """
 
     effect: str
     table: dict[str, float]
-    chances: dict[str, float]
+    probabilities: dict[str, float]
     members: tuple[Member, ...]
     without: Refit
     fitted: Refit
-    evidence: Evidence
-    sizes: tuple[Mapping[str, ParameterEstimate], ...]
+    evidence: Mapping[str, float]
+    parameters_by_form: tuple[Mapping[str, ParameterEstimate], ...]
 
     @property
     def presence(self) -> float:
@@ -90,7 +104,7 @@ class Weighed:
     def summary(self) -> WeighedEffect:
         """Return what a report says of it."""
         members = tuple(member.effect for member in self.members)
-        return WeighedEffect(self.effect, members, self.presence, self.evidence.as_dict(), self.table)
+        return WeighedEffect(self.effect, members, self.presence, self.evidence, self.table)
 
 
 def weigh_effects(
@@ -99,7 +113,7 @@ def weigh_effects(
     effects: Sequence[str],
     rng: np.random.Generator,
     progress: Progress = ignore,
-) -> list[Weighed]:
+) -> list[LeadingEffect]:
     """Select effects around the first form one after the other, and weigh each beside the others around all forms.
 
     Parameters
@@ -117,84 +131,56 @@ def weigh_effects(
     ranked = [fit.effects[-1] for fit in singles]
     present = list(chosen)
     values = chosen[present[-1]].values if present else {}
-    places = []
-    for place, effect in enumerate(chosen):
+    tables: dict[str, Table] = {}
+    for done, effect in enumerate(chosen, 1):
         others = [other for other in present if other != effect]
         # A form that contains the effect cannot lack it.
         lacking = [form for form in forms if not contains(form.problem.model, effect)]
         bases = [with_effects(weighting, form, others, form.values | values) for form in lacking]
         free = [name for name in ranked if name not in others]
         alike = [name for name in free if name in EFFECTS[effect].confused_with]
-        table = fit_table(weighting, bases, list(dict.fromkeys([effect, *free[:MOST_ALTERNATIVES], *alike])))
-        chances = chances_of(table, rng)
-        progress(0.5 + 0.5 * (place + 1) / len(chosen))
-        around_first = {entry.effect: entry.refit for entry in table if entry.form == table[0].form}
-        lead = next(name for name in chances if name in around_first and name != NO_EFFECT)
+        refits = fit_table(weighting, bases, list(dict.fromkeys([effect, *free[:MOST_ALTERNATIVES], *alike])))
+        probabilities = table_probabilities(refits, rng)
+        progress(0.5 + 0.5 * done / len(chosen))
+        around_first = {entry.effect: entry.refit for entry in refits if entry.form == refits[0].form}
+        lead = next(name for name in probabilities if name in around_first and name != NO_EFFECT)
         present = [*others, lead]
         values |= around_first[lead].values
-        places.append((lead, chances, table))
-    if not places:
+        tables[lead] = Table(refits, probabilities)
+    if not tables:
         return []
     complete = with_effects(weighting, forms[0], present, values)
+    alone = refit_on(weighting, forms[0])
     beside, plain = with_form_remainder(weighting, forms[0])
-    freed = with_effects(beside, plain, present, values)
-    gap = refit_on(weighting, forms[0]).held_out_cost - weighting.noise_cost
-    left = float(np.clip((complete.held_out_cost - weighting.noise_cost) / max(gap, 1e-300), 0.0, 1.0))
-    weighed = []
-    for lead, chances, table in places:
-        closed_beside = share_closed(refit_without(beside, freed, lead), freed, beside.noise_cost)
-        weighed.append(_weigh(lead, chances, table, complete, freed, closed_beside, weighting.noise_cost, left))
-    return weighed
-
-
-def _weigh(
-    effect: str,
-    chances: Mapping[str, float],
-    table: Sequence[Hypothesis],
-    complete: Refit,
-    freed: Refit,
-    closed_beside: float,
-    noise_cost: float,
-    left: float,
-) -> Weighed:
-    """Gather the evidence of an effect from the table of its place and from the fits with all effects."""
-    around = {form: {entry.effect: entry.refit for entry in table if entry.form == form} for form in _forms_of(table)}
-    first = around[table[0].form]
-    without, fitted = first[NO_EFFECT], first[effect]
-    members = class_of(effect, first, {name: chance for name, chance in chances.items() if name != NO_EFFECT})
-    alike = {member.effect for member in members}
-    shares = [
-        max(share_closed(refits[NO_EFFECT], refits[name], noise_cost) for name in alike & refits.keys())
-        for refits in around.values()
-        if alike & refits.keys()
+    beside_complete = with_effects(beside, plain, present, values)
+    return [
+        _weigh(
+            FitsOfEffect(
+                effect=lead,
+                probabilities=table.probabilities,
+                members=table.members(lead),
+                by_form=table.by_form,
+                alone=alone,
+                complete=complete,
+                remainder_without=refit_without(beside, beside_complete, lead),
+                remainder_complete=beside_complete,
+                noise_cost=weighting.noise_cost,
+                remainder_noise_cost=beside.noise_cost,
+            )
+        )
+        for lead, table in tables.items()
     ]
-    rivals = [refitted for name, refitted in first.items() if name not in alike and name != NO_EFFECT]
-    evidence = Evidence(
-        closed=share_closed(without, fitted, noise_cost),
-        closed_of_forms=float(np.median(shares)),
-        lead=lead_over(without, fitted, rivals),
-        support=sum(chances[name] for name in alike),
-        halves=balance_of_halves(without, fitted),
-        folds=balance_of_folds(without, fitted),
-        kept=kept_size(complete, freed, effect),
-        beside=closed_beside,
-        drift=drift_over_runs(fitted, effect),
-        left=left,
-    )
-    sizes = tuple(effect_parameters(refits[effect]) for refits in around.values() if effect in refits)
-    return _with_presence(Weighed(effect, dict(chances), dict(chances), members, without, fitted, evidence, sizes))
 
 
-def _with_presence(weighed: Weighed) -> Weighed:
-    """Replace the probabilities in a place by those that follow from the learnt one of the class."""
-    alike = [member.effect for member in weighed.members]
-    chances = with_presence(weighed.chances, alike, presence_of(weighed.evidence))
-    members = tuple(replace(member, probability=chances[member.effect]) for member in weighed.members)
-    return replace(weighed, chances=chances, members=members)
-
-
-def _forms_of(table: Sequence[Hypothesis]) -> list[str]:
-    return list(dict.fromkeys(entry.form for entry in table))
+def _weigh(fits: FitsOfEffect) -> LeadingEffect:
+    """Measure the evidence of an effect, and let the learnt probability of its class take the place of the table's."""
+    evidence = measure_evidence(fits)
+    alike = [member.effect for member in fits.members]
+    probabilities = with_presence(fits.probabilities, alike, presence_of(evidence))
+    members = tuple(replace(member, probability=probabilities[member.effect]) for member in fits.members)
+    by_form = tuple(effect_parameters(refits[fits.effect]) for refits in fits.by_form if fits.effect in refits)
+    table = dict(fits.probabilities)
+    return LeadingEffect(fits.effect, table, probabilities, members, fits.without, fits.fitted, evidence, by_form)
 
 
 def _search(
@@ -225,7 +211,7 @@ def _search(
         if gap <= 0.0:
             break
         enough = THRESHOLDS.least_share_beside_form * gap
-        lead = next((fit for fit in fits if holds_in_halves(best, fit.refit)), None)
+        lead = next((fit for fit in fits if predicts_both_halves(best, fit.refit)), None)
         if lead is None or lead.held_out_gain < enough:
             break
         chosen[lead.effects[-1]] = lead.refit
@@ -240,18 +226,18 @@ def fit_table(weighting: Weighting, bases: Sequence[Refit], effects: Sequence[st
     """Fit each form with each of the effects that it does not contain; each form without any of them comes first."""
     table = []
     for base in bases:
-        asked = [effect for effect in effects if not contains(base.problem.model, effect)]
-        refits = {NO_EFFECT: base} | refit_in_its_place(weighting, base, asked, ROUGHLY_CONVERGED)
+        lacking = [effect for effect in effects if not contains(base.problem.model, effect)]
+        refits = {NO_EFFECT: base} | refit_in_its_place(weighting, base, lacking, ROUGHLY_CONVERGED)
         table += [Hypothesis(base.problem.model.id, effect, refitted) for effect, refitted in refits.items()]
     return table
 
 
-def chances_of(table: Sequence[Hypothesis], rng: np.random.Generator) -> dict[str, float]:
+def table_probabilities(table: Sequence[Hypothesis], rng: np.random.Generator) -> dict[str, float]:
     """Return the probability of each effect of a table, and of none (`NO_EFFECT`), best first."""
     best = min(table, key=lambda entry: entry.refit.held_out_cost)
     without = next(entry for entry in table if (entry.form, entry.effect) == (best.form, NO_EFFECT))
     ordered = list({id(entry): entry for entry in (best, without, *table)}.values())
-    chances: dict[str, float] = {}
-    for entry, chance in zip(ordered, probabilities([entry.refit for entry in ordered], rng), strict=True):
-        chances[entry.effect] = chances.get(entry.effect, 0.0) + float(chance)
-    return dict(sorted(chances.items(), key=lambda item: -item[1]))
+    probabilities: dict[str, float] = {}
+    for entry, probability in zip(ordered, model_probabilities([entry.refit for entry in ordered], rng), strict=True):
+        probabilities[entry.effect] = probabilities.get(entry.effect, 0.0) + float(probability)
+    return dict(sorted(probabilities.items(), key=lambda item: -item[1]))

@@ -8,29 +8,26 @@ damper.
 """
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mrd_base.progress import ignore
 from mrd_diagnosis.closure.closure import closed_fraction_between
-from mrd_diagnosis.decision.explanation import Explanation
+from mrd_diagnosis.decision.explanation import Explanation, RobustCause
+from mrd_diagnosis.decision.verdict import verdict_beside_other_forms
 from mrd_diagnosis.fitting.null_distribution import NullGains
 from mrd_diagnosis.fitting.refit import Refit, refit_on
-from mrd_diagnosis.fitting.weighting import Weighting
 from mrd_diagnosis.recordings.limitations import contains
-from mrd_diagnosis.search.model_comparison import ModelComparison, with_effects
-from mrd_diagnosis.search.weighted_forms import weighted_forms
+from mrd_diagnosis.search.model_comparison import ModelComparison, with_chain, with_effects
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.wrong_form.form_causes import name_form_causes
 from mrd_diagnosis.wrong_form.form_remainder import form_effects, with_form_remainder
-from mrd_diagnosis.wrong_form.held_cause import HeldCause
-from mrd_diagnosis.wrong_form.hypotheses import Weighed, weigh_effects
+from mrd_diagnosis.wrong_form.hypotheses import LeadingEffect, weigh_effects
+from mrd_diagnosis.wrong_form.stacking import stacked_forms
 from mrd_sim.effects import EFFECTS
 
-Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 
@@ -64,13 +61,13 @@ def explain_in_part(
     weighting = comparison.weighting
     lacking = lacking_effects(comparison)
     alone = comparison.chain[len(lacking) - 1] if lacking else comparison.base
-    forms = weighted_forms(alone, other_models)
+    forms = stacked_forms(alone, other_models)
     form = forms[0]
     contained = [effect for effect in effects if contains(form.problem.model, effect)]
     tried = [effect for effect in effects if effect not in (*lacking, *contained)]
     weighed = weigh_effects(weighting, forms, tried, rng, lambda fraction: progress(0.8 * fraction))
     selected = [entry for entry in weighed if entry.presence >= THRESHOLDS.named_support]
-    causes = {found.effect: _held(found, comparison, null_gains, rng) for found in selected}
+    causes = {found.effect: _robust_cause(found, comparison, null_gains, rng) for found in selected}
     values = alone.values | (selected[-1].fitted.values if selected else {})
     explained = with_effects(weighting, form, list(causes), values)
     values |= explained.values
@@ -80,8 +77,7 @@ def explain_in_part(
         best_cost = explained.held_out_cost
         explained = with_effects(weighting, alone, list(causes), values)
         lacked = [effect for effect in contained if effect not in lacking and not contains(alone.problem.model, effect)]
-        known = {member.effect for entry in weighed for member in entry.members}
-        lacked += [effect for effect in comparison.effects if effect in tried and effect not in known]
+        lacked += _chosen_around_model_only(comparison, tried, weighed)
         of_form_causes, explained = name_form_causes(
             comparison,
             explained,
@@ -98,24 +94,18 @@ def explain_in_part(
     named = [*lacking, *causes]
     if explanation.verdict != "unknown_effect" and set(named) == set(comparison.effects):
         return explanation
-    remainder = with_form_remainder(weighting, alone)[0].remainder
-    freed = _cost_beside(remainder, weighting, explained)
-    gap = comparison.base.held_out_cost - weighting.noise_cost
-    form_fraction = float(np.clip((explained.held_out_cost - freed) / gap, 0.0, 1.0))
+    form_fraction = _form_fraction(comparison, alone, explained)
+    explanation = replace(explanation, verdict=verdict_beside_other_forms(named), form_fraction=form_fraction)
     if not named:
-        return replace(explanation, verdict="unknown_effect", form_fraction=form_fraction)
-    return Explanation(
-        "partly_explained",
-        _comparison_with(comparison, named, values),
-        {effect: explanation.probabilities[effect] for effect in lacking}
+        return explanation
+    return replace(
+        explanation,
+        comparison=with_chain(comparison, named, values),
+        probabilities={effect: explanation.probabilities[effect] for effect in lacking}
         | {effect: cause.probabilities for effect, cause in causes.items()},
-        {effect: explanation.p_values[effect] for effect in lacking}
+        p_values={effect: explanation.p_values[effect] for effect in lacking}
         | {effect: cause.p_value for effect, cause in causes.items()},
-        {effect: cause.closed_fraction for effect, cause in causes.items()},
-        form_fraction,
-        {effect: cause.members for effect, cause in causes.items()},
-        explanation.weighed,
-        {effect: cause.sizes for effect, cause in causes.items()},
+        robust=causes,
     )
 
 
@@ -131,21 +121,29 @@ def rests_on_form(comparison: ModelComparison) -> bool:
     return bool(form_effects(comparison.weighting, comparison.base, comparison.effects))
 
 
-def _held(found: Weighed, comparison: ModelComparison, null_gains: NullGains, rng: np.random.Generator) -> HeldCause:
+def _chosen_around_model_only(
+    comparison: ModelComparison, tried: Sequence[str], weighed: Sequence[LeadingEffect]
+) -> list[str]:
+    """Return the effects that were chosen around the user's model, and neither lead around the best form nor look like one
+    that does.
+    """
+    known = {member.effect for entry in weighed for member in entry.members}
+    return [effect for effect in comparison.effects if effect in tried and effect not in known]
+
+
+def _robust_cause(
+    found: LeadingEffect, comparison: ModelComparison, null_gains: NullGains, rng: np.random.Generator
+) -> RobustCause:
     gain = found.without.held_out_cost - found.fitted.held_out_cost
     closed = closed_fraction_between(found.without, found.fitted, comparison, rng)
-    return HeldCause(found.chances, null_gains.p_value(gain, found.fitted.problem), closed, found.members, found.sizes)
+    p_value = null_gains.p_value(gain, found.fitted.problem)
+    return RobustCause(found.probabilities, p_value, closed, found.members, found.parameters_by_form)
 
 
-def _cost_beside(remainder: tuple[Array, ...], weighting: Weighting, refitted: Refit) -> float:
-    """Return the held-out cost of a model beside a remainder, with the weighting of the model alone."""
-    return refit_on(replace(weighting, remainder=remainder), refitted).held_out_cost
-
-
-def _comparison_with(comparison: ModelComparison, effects: Sequence[str], values: Mapping[str, float]) -> ModelComparison:
-    """Refit the user's model with one effect more at a time, without the remainder."""
-    chain = [
-        with_effects(comparison.weighting, comparison.base, effects[: count + 1], values) for count in range(len(effects))
-    ]
-    alternatives = {effect: {effect: chain[-1]} for effect in effects}
-    return replace(comparison, chain=tuple(chain), effects=tuple(effects), alternatives=alternatives)
+def _form_fraction(comparison: ModelComparison, alone: Refit, explained: Refit) -> float:
+    """Return the share of the gap that the form remainder of the user's model closes beside what explains the gap."""
+    weighting = comparison.weighting
+    remainder = with_form_remainder(weighting, alone)[0].remainder
+    cost = refit_on(replace(weighting, remainder=remainder), explained).held_out_cost
+    gap = comparison.base.held_out_cost - weighting.noise_cost
+    return float(np.clip((explained.held_out_cost - cost) / gap, 0.0, 1.0))

@@ -1,19 +1,16 @@
-"""The honesty rules of a verdict: what speaks against naming an effect as a cause, in one list.
+"""The rules by which an effect is rejected as a cause, in one list: what speaks against naming it.
 
-Each rule is data: an id, the reason in words, and a test of a claim. The first rule whose test holds rejects the claim.
+Each rule is data: an id, the reason in words, and a test of a claim. The first rule whose test holds rejects the claim. A
+new rule is one entry of `RULES`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Finding, Interval, Level, ParameterEstimate
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.wording.effect_names import parameters_of_effect
-from mrd_runs import Run
 from mrd_sim.effects import EFFECTS
-
-TIMING_FINDINGS = ("clock", "lag", "filter")
-"""Kinds of findings after which a channel does not say what was when: readings that are held, shifted or averaged."""
 
 
 @dataclass(frozen=True)
@@ -88,11 +85,14 @@ class Rule:
         Why a claim is rejected, as a clause about the effect ("it").
     test : callable
         Whether a claim is rejected.
+    leaves_open : bool
+        Whether the effect may be there all the same: it is seen, but not determined.
     """
 
     id: str
     sentence: str
     test: Callable[[Claim], bool]
+    leaves_open: bool = False
 
 
 def _is_on_bound(claim: Claim) -> bool:
@@ -131,10 +131,13 @@ RULES = (
     ),
     Rule("little", "it closes next to nothing of the gap", _closes_little),
     Rule(
-        "on_bound", "its size stands at the limit of the plausible range, so that something else may be meant", _is_on_bound
+        "on_bound",
+        "its size stands at the limit of the plausible range, so that something else may be meant",
+        _is_on_bound,
+        leaves_open=True,
     ),
-    Rule("undetermined", "these runs do not determine its size", _is_undetermined),
-    Rule("neutral", "the interval of its size contains the value at which it is absent", _may_be_absent),
+    Rule("undetermined", "these runs do not determine its size", _is_undetermined, leaves_open=True),
+    Rule("neutral", "the interval of its size contains the value at which it is absent", _may_be_absent, leaves_open=True),
     Rule(
         "evidence",
         "evidence like that for it was wrong more often than right, on dampers whose effects were known",
@@ -149,13 +152,11 @@ RULES = (
         "undecided",
         "other explanations are together as likely, and they have nothing in common with it",
         lambda claim: claim.level == "undecided",
+        leaves_open=True,
     ),
     Rule("other_effect", "something else explains the gap better", lambda claim: not claim.chosen),
 )
 """The rules in their order."""
-
-SEEN = ("on_bound", "undetermined", "neutral", "undecided")
-"""Rules after which an effect is seen, but not determined."""
 
 
 def rejecting_rule(claim: Claim) -> Rule | None:
@@ -163,32 +164,9 @@ def rejecting_rule(claim: Claim) -> Rule | None:
     return next((rule for rule in RULES if rule.test(claim)), None)
 
 
-def imitating_limitations(effect: str, findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return the limitations of recordings that can imitate an effect."""
-    imitated_by = EFFECTS[effect].imitated_by if effect in EFFECTS else ("timing",)
-
-    def fault(finding: Finding) -> str:
-        return f"clipped {finding.channel}" if finding.kind == "clipping" else "timing" * (finding.kind in TIMING_FINDINGS)
-
-    return tuple(finding for finding in findings if finding.severity == "limitation" and fault(finding) in imitated_by)
-
-
-def gap_making_limitations(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return the limitations after which a channel does not say what was when, so that a true model leaves a gap as well."""
-    return tuple(finding for finding in findings if finding.severity == "limitation" and finding.kind in TIMING_FINDINGS)
-
-
-def clock_finding(runs: Sequence[Run]) -> Finding | None:
-    """Return the finding that the clocks of the channels of some runs are not known to agree."""
-    doubtful = [run.name for run in runs if not run.clocks_agree()]
-    if 2 * len(doubtful) < len(runs) or not doubtful:  # the other runs tell a delay from a difference of clocks
-        return None
-    text = (
-        "the channels were recorded by clocks that are not known to agree: a constant difference between them looks like a "
-        f"delay of the force or of the coil (in {', '.join(doubtful)}). Record all channels by one clock, or give the "
-        "difference of the clocks when you import the recording."
-    )
-    return Finding("clock", "limitation", text, doubtful[0] if len(doubtful) == 1 else "", "time")
+def leaves_open(rule: str) -> bool:
+    """Whether an effect that the rule with this id rejects may be there all the same: it is seen, but not determined."""
+    return any(known.leaves_open for known in RULES if known.id == rule)
 
 
 def markdown_table() -> str:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
-from mrd_diagnosis import change, diagnose
-from mrd_diagnosis.decision.decision import decide_change
+from mrd_diagnosis import diagnose, explain_change
+from mrd_diagnosis.decision.verdict import verdict_on_change
 from mrd_diagnosis.diagnose import candidates_for
 from mrd_diagnosis.report.gap_file import read_gap_report, to_json
 from mrd_diagnosis.report.page import write_gap_report
@@ -151,10 +151,10 @@ def test_an_effect_in_an_error_no_larger_than_the_noise_is_no_change():
     best = SimpleNamespace(chi_square=0.6, held_out_squares=np.full(4, 6.0), held_out_chi_squares=np.full(4, 6.0))
     weighting = SimpleNamespace(noise=[noise], folds=folds, recordings=[SimpleNamespace(without_effects=False)])
     comparison = SimpleNamespace(effects=("end_stop",), base=base, best=best, weighting=weighting)
-    chances = {"end_stop": {"end_stop": 0.95}}
-    assert decide_change(comparison, chances, np.random.default_rng(0)) == "no_gap"
+    probabilities = {"end_stop": {"end_stop": 0.95}}
+    assert verdict_on_change(comparison, probabilities, np.random.default_rng(0)) == "no_gap"
     comparison.base = SimpleNamespace(chi_square=2.0, held_out_squares=np.full(4, 20.0))
-    assert decide_change(comparison, chances, np.random.default_rng(0)) == "explained"
+    assert verdict_on_change(comparison, probabilities, np.random.default_rng(0)) == "explained"
 
 
 def test_an_end_stop_that_one_run_before_reached_by_far_is_named():
@@ -211,9 +211,9 @@ def test_a_change_that_depends_on_the_position_is_no_noise(monkeypatch):
 
 
 def test_an_effect_that_does_not_hold_takes_no_other_with_it(monkeypatch):
-    whole = change.exceeds_run_scatter
+    whole = explain_change.exceeds_run_scatter
     monkeypatch.setattr(
-        change, "exceeds_run_scatter", lambda refitted, effect: effect != "moving_mass" and whole(refitted, effect)
+        explain_change, "exceeds_run_scatter", lambda refitted, effect: effect != "moving_mass" and whole(refitted, effect)
     )
     effects = ("load_cell_gain", "moving_mass")
     diagnosis = diagnose(changed(share=0.15, mass=4.0), "bouc_wen", reference=runs(BEFORE), effects=effects)

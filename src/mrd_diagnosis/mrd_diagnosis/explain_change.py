@@ -1,4 +1,4 @@
-"""Change: which effects explain the difference between recordings from before and after something has changed.
+"""Explanation of a change: which effects explain the difference between recordings from before and after it.
 
 Whatever the damper model lacks, it lacked before as well. A flexible remainder, common to both, takes that up; the effects
 act only in the recordings from after the change. What a remainder of their own closes there, and the common one does not, is
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.stats import ttest_ind
 
 from mrd_base.progress import ignore
-from mrd_diagnosis.decision.decision import decide_change
-from mrd_diagnosis.decision.explanation import Explained, Explanation, probabilities_of_alternatives
+from mrd_diagnosis.decision.explanation import Explanation, FittedExplanation, probabilities_of_alternatives
+from mrd_diagnosis.decision.verdict import verdict_on_change
 from mrd_diagnosis.fitting.null_distribution import draw_null_gains
 from mrd_diagnosis.fitting.refit import Refit, refit, refit_on
 from mrd_diagnosis.fitting.statistics import error_dispersion
@@ -39,7 +39,7 @@ a share of half the span of the force."""
 
 def explain_change(
     weighting: Weighting, base: Refit, effects: Sequence[str], rng: np.random.Generator, progress: Progress = ignore
-) -> Explained:
+) -> FittedExplanation:
     """Find the effects that explain a change.
 
     Parameters
@@ -62,16 +62,16 @@ def explain_change(
     common, own = _functions(weighting, base, rng)
     known, base = with_remainder(weighting, base, common)
     progress(0.2)
-    freed = _with_own_remainder(known, base, own)
-    weighting = _with_floor(known, [freed])
-    null_errors = _null_errors(weighting, freed)
+    with_own = _with_own_remainder(known, base, own)
+    weighting = _with_floor(known, [with_own])
+    null_errors = _null_errors(weighting, with_own)
     base = refit(weighting.problem(base.problem.model, base.theta), base.theta, weighting.folds, null_errors)
     chosen, fits = search_effects(weighting, base, effects, null_errors, lambda fraction: progress(0.2 + 0.7 * fraction))
     singles = [fit for fit in fits if len(fit.effects) == 1]
     null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng)
     while True:
         # An effect may describe a change that no function of the own remainder does: then that was no noise.
-        comparison = compare_on(_with_floor(known, [freed, *(fit.refit for fit in chosen)]), base, chosen, fits)
+        comparison = compare_on(_with_floor(known, [with_own, *(fit.refit for fit in chosen)]), base, chosen, fits)
         p_values = {fit.effects[-1]: null_gains.p_value(fit.gain, fit.refit.problem) for fit in chosen}
         proven = [
             effect
@@ -82,10 +82,11 @@ def explain_change(
             break
         # What one that is not proven took up, the others may explain.
         chosen, _ = search_effects(weighting, base, proven, null_errors)
-    chances = probabilities_of_alternatives(comparison, rng)
+    probabilities = probabilities_of_alternatives(comparison, rng)
     progress(1.0)
-    explanation = Explanation(decide_change(comparison, chances, rng), comparison, chances, p_values)
-    return Explained(explanation, comparison, singles, null_gains)
+    verdict = verdict_on_change(comparison, probabilities, rng)
+    explanation = Explanation(verdict, comparison, probabilities, p_values)
+    return FittedExplanation(explanation, comparison, singles, null_gains)
 
 
 def exceeds_run_scatter(refitted: Refit, effect: str) -> bool:
@@ -172,8 +173,8 @@ def _with_floor(weighting: Weighting, refits: Sequence[Refit]) -> Weighting:
     return replace(weighting, noise=noise, discrepancy=0.0)
 
 
-def _null_errors(weighting: Weighting, freed: Refit) -> list[Array]:
+def _null_errors(weighting: Weighting, fitted: Refit) -> list[Array]:
     """Return the white errors (1, n) of each run that a refit leaves: as large and correlated as without a change."""
-    problem = replace(weighting, remainder=freed.problem.remainder).problem(freed.problem.model, freed.theta)
+    problem = replace(weighting, remainder=fitted.problem.remainder).problem(fitted.problem.model, fitted.theta)
     runs = range(len(weighting.recordings))
-    return [error_of_run(problem, freed.theta, run, freed.coefficients)[0][None] for run in runs]
+    return [error_of_run(problem, fitted.theta, run, fitted.coefficients)[0][None] for run in runs]

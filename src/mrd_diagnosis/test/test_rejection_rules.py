@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.decision.honesty import RULES, Claim, clock_finding, imitating_limitations, markdown_table, rejecting_rule
+from mrd_diagnosis.decision import causes
+from mrd_diagnosis.decision.rejection_rules import RULES, Claim, markdown_table, rejecting_rule
 from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Finding, Interval, ParameterEstimate
 from mrd_diagnosis.fitting.base_fit import BaseFit
+from mrd_diagnosis.recordings.imitating_limitations import clock_finding, imitating_limitations
 from mrd_diagnosis.report.gap_file import to_json
 from mrd_diagnosis.report.sentences import next_command, next_step
 from mrd_diagnosis.search.effect_search import refit_with_effects
@@ -217,13 +219,12 @@ def test_a_size_beyond_its_range_is_seen_and_not_named(monkeypatch):
 
 def test_an_effect_that_closes_the_gap_with_any_size_is_seen_and_not_named(monkeypatch):
     runs = recorded({"channel_delay": {"delay": 0.012}})
-    statistics = importlib.import_module("mrd_diagnosis.decision.explanation")
-    estimate = statistics.effect_parameters
+    estimate = causes.effect_parameters
 
     def undetermined(refitted):
         return {name: replace(value, remark=UNDETERMINED) for name, value in estimate(refitted).items()}
 
-    monkeypatch.setattr(statistics, "effect_parameters", undetermined)
+    monkeypatch.setattr(causes, "effect_parameters", undetermined)
     diagnosis = diagnose(runs, "bouc_wen", effects=(*FEW[:2], "channel_delay"))
     assert (diagnosis.verdict, diagnosis.causes) == ("ambiguous", ())
     assert diagnosis.sentence.startswith("Seen, not determined: the force channel is late by")
@@ -246,7 +247,7 @@ def test_every_effect_that_was_tried_is_named_or_rejected():
 
 def test_an_effect_is_not_explained_where_another_damper_model_does_as_much(monkeypatch):
     """Noise explains what the effect leaves, so that nothing else asks for another model."""
-    module = importlib.import_module("mrd_diagnosis.gap")
+    module = importlib.import_module("mrd_diagnosis.explain_gap")
     asked = []
 
     def as_good(effect, weighting, base, _enough, _rng):

@@ -1,4 +1,4 @@
-"""Judgement: the honesty rules applied to what would be named, and what remains to be said then."""
+"""Conclusion: the rejection rules applied to what would be named, and what remains to be said then."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,17 +6,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mrd_diagnosis.closure.closure import closed_fraction_between
-from mrd_diagnosis.decision.explanation import Explanation, name_causes, whatever_the_form
-from mrd_diagnosis.decision.honesty import SEEN, Claim, Rule, clock_finding, imitating_limitations, rejecting_rule
+from mrd_diagnosis.decision.causes import name_causes, with_intervals_of_all_forms
+from mrd_diagnosis.decision.explanation import Explanation
+from mrd_diagnosis.decision.rejection_rules import Claim, Rule, rejecting_rule
+from mrd_diagnosis.decision.verdict import verdict_after_rejection
 from mrd_diagnosis.diagnosis import AlternativeModel, Candidate, Cause, Finding, Rejected
-from mrd_diagnosis.search.model_comparison import Compared, ModelComparison, as_it_is, with_effects
+from mrd_diagnosis.recordings.imitating_limitations import clock_finding, imitating_limitations
+from mrd_diagnosis.search.model_comparison import ModelComparison, RefitComparison, unchanged, with_chain
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_runs import Run
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """What may be said after the honesty rules.
+class Conclusion:
+    """What may be said of an explanation after the rejection rules.
 
     Attributes
     ----------
@@ -28,26 +31,26 @@ class Judgement:
         The causes that are named.
     rejected : tuple of Rejected
         The causes that would have been named without the rules.
-    faults : tuple of Finding
-        Limitations of the recordings that are the answer instead of a cause; empty where there are none.
+    limitations : tuple of Finding
+        Limitations of the recordings for which causes were rejected; with the verdict ``data_fault`` they are the answer.
     """
 
     explanation: Explanation
     complete: ModelComparison
     causes: tuple[Cause, ...]
     rejected: tuple[Rejected, ...] = ()
-    faults: tuple[Finding, ...] = ()
+    limitations: tuple[Finding, ...] = ()
 
 
-def judge(
+def conclude(
     explanation: Explanation,
     complete: ModelComparison,
     findings: Sequence[Finding],
     runs: Sequence[Run],
     rng: np.random.Generator,
-    asked: Compared = as_it_is,
-) -> Judgement:
-    """Apply the honesty rules to the effects that an explanation would name.
+    in_loop: RefitComparison = unchanged,
+) -> Conclusion:
+    """Hold the effects that an explanation would name against the rejection rules.
 
     Where none is left and the recordings are a reason for that, their limitation is the answer. Where they are seen but not
     determined, they stay in the model as what comes nearest, and the verdict is ambiguous if they close the gap. Where some
@@ -62,15 +65,17 @@ def judge(
         Of the preflight check.
     runs : sequence of Run
     rng : numpy Generator
-    asked : callable
-        See `mrd_diagnosis.gap.explain_gap`.
+    in_loop : callable
+        See `mrd_diagnosis.explain_gap.explain_gap`.
     """
     causes = name_causes(replace(explanation, comparison=complete), rng)
     closed = closed_fraction_between(complete.base, complete.best, complete, rng).value
     open_fraction = float(np.clip(1.0 - np.nan_to_num(closed), 0.0, 1.0))
     of_clocks = clock_finding(runs)
-    named, rejected = [], []
-    faults: list[Finding] = []
+    named: list[Cause] = []
+    rejected: list[Rejected] = []
+    rules: list[Rule] = []
+    reasons: list[Finding] = []
     for cause in causes:
         limitations = _unrefuted(cause.effect, imitating_limitations(cause.effect, findings), complete)
         claim = Claim(
@@ -84,40 +89,37 @@ def judge(
             clocks_agree=of_clocks is None,
             level=cause.level,
         )
-        if rule := rejecting_rule(claim):
-            rejected.append(_rejected(claim, rule))
-            faults += limitations if rule.id == "limitation" else [of_clocks] if rule.id == "clocks" and of_clocks else []
-        else:
+        rule = rejecting_rule(claim)
+        if rule is None:
             named.append(cause)
-    if not rejected:
-        return Judgement(explanation, complete, tuple(whatever_the_form(cause, explanation) for cause in causes))
-    if named:
-        effects = [cause.effect for cause in named]
+            continue
+        rules.append(rule)
+        rejected.append(_rejected(claim, rule))
+        reasons += limitations if rule.id == "limitation" else [of_clocks] if rule.id == "clocks" and of_clocks else []
+    effects = [cause.effect for cause in named]
+    explanation = replace(explanation, verdict=verdict_after_rejection(explanation.verdict, effects, rules, reasons))
+    if rejected and named:
         explanation = replace(
             explanation,
-            verdict="partly_explained",
             comparison=_with_only(explanation.comparison, effects),
             probabilities={effect: explanation.probabilities[effect] for effect in effects},
         )
-        complete = asked(_with_only(complete, effects))
-        causes = name_causes(replace(explanation, comparison=complete), rng)
-        causes = tuple(whatever_the_form(cause, explanation) for cause in causes)
-        return Judgement(explanation, complete, causes, tuple(rejected))
-    seen = explanation.verdict in ("explained", "ambiguous") and all(entry.rule in SEEN for entry in rejected)
-    explanation = replace(explanation, verdict="ambiguous" if seen else "unknown_effect")
-    return Judgement(explanation, complete, (), tuple(rejected), tuple(dict.fromkeys(faults)))
+        complete = in_loop(_with_only(complete, effects))
+        named = list(name_causes(replace(explanation, comparison=complete), rng))
+    causes = tuple(with_intervals_of_all_forms(cause, explanation) for cause in named)
+    return Conclusion(explanation, complete, causes, tuple(rejected), tuple(dict.fromkeys(reasons)))
 
 
 def reject_others(
-    judgement: Judgement,
+    conclusion: Conclusion,
     candidates: Sequence[Candidate],
     models: Sequence[AlternativeModel],
     findings: Sequence[Finding],
     runs: Sequence[Run],
 ) -> tuple[Rejected, ...]:
     """Return every effect that was tried and is not named, with the rule that rejected it; first those that were chosen."""
-    known = {cause.effect for cause in judgement.causes} | {entry.effect for entry in judgement.rejected}
-    presence = {entry.effect: entry.probability for entry in judgement.explanation.weighed}
+    known = {cause.effect for cause in conclusion.causes} | {entry.effect for entry in conclusion.rejected}
+    presence = {entry.effect: entry.probability for entry in conclusion.explanation.weighed}
     others = []
     for candidate in candidates:
         if len(candidate.effects) > 1 or candidate.effects[0] in known:
@@ -131,7 +133,7 @@ def reject_others(
             candidate.closed_fraction,
             1.0 - float(np.clip(np.nan_to_num(candidate.closed_fraction.value), 0.0, 1.0)),
             chosen=False,
-            has_gap=judgement.explanation.verdict != "no_gap",
+            has_gap=conclusion.explanation.verdict != "no_gap",
             limitations=imitating_limitations(effect, findings),
             clocks_agree=clock_finding(runs) is None,
             other_model=models[0].closed_fraction.value if models else float("nan"),
@@ -139,7 +141,7 @@ def reject_others(
         )
         if rule := rejecting_rule(claim):
             others.append(_rejected(claim, rule))
-    return (*judgement.rejected, *others)
+    return (*conclusion.rejected, *others)
 
 
 def _rejected(claim: Claim, rule: Rule) -> Rejected:
@@ -179,9 +181,5 @@ def _unrefuted(effect: str, limitations: tuple[Finding, ...], comparison: ModelC
 
 def _with_only(comparison: ModelComparison, effects: Sequence[str]) -> ModelComparison:
     """Refit the model with some of the chosen effects."""
-    values = comparison.best.values
-    chain = [
-        with_effects(comparison.weighting, comparison.base, effects[: count + 1], values) for count in range(len(effects))
-    ]
     alternatives = {effect: others for effect, others in comparison.alternatives.items() if effect in effects}
-    return replace(comparison, chain=tuple(chain), effects=tuple(effects), alternatives=alternatives)
+    return with_chain(comparison, effects, comparison.best.values, alternatives)

@@ -1,11 +1,19 @@
-"""Decision: the verdict that follows from a model comparison."""
+"""The verdict: everything that decides it, in the order in which a diagnosis asks.
 
-from collections.abc import Mapping
+1. `verdict_on_gap`, or `verdict_on_change` where there are reference runs: what the model comparison says.
+2. `verdict_beside_other_forms`: where no explanation around the given model holds, what holds around other damper models.
+3. `verdict_after_rejection`: what the rejection rules leave of that.
+
+Only the preflight check comes before: a fault of the recordings is a `data_fault`, and nothing is fitted.
+"""
+
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
 from mrd_diagnosis.closure.closure import closed_fraction_between
-from mrd_diagnosis.diagnosis import Interval, Verdict
+from mrd_diagnosis.decision.rejection_rules import Rule
+from mrd_diagnosis.diagnosis import Finding, Interval, Verdict
 from mrd_diagnosis.fitting.statistics import bootstrap_counts
 from mrd_diagnosis.search.effect_search import tolerated_excess
 from mrd_diagnosis.search.model_comparison import ModelComparison
@@ -14,15 +22,18 @@ from mrd_diagnosis.thresholds import THRESHOLDS
 Probabilities = Mapping[str, Mapping[str, float]]
 """For each cause, the probability of every alternative to it, itself included, by name."""
 
+LOWER_QUANTILE = 0.1
+"""Quantile of the bootstrapped excess that counts as its lower bound."""
 
-def decide(
+
+def verdict_on_gap(
     comparison: ModelComparison,
     chi_square_of_search: float,
     probabilities: Probabilities,
     p_values: Mapping[str, float],
     rng: np.random.Generator,
 ) -> Verdict:
-    """Decide what can be said.
+    """Return what a model comparison says of a gap.
 
     Parameters
     ----------
@@ -44,13 +55,15 @@ def decide(
     if not _explains(comparison, closed.value, rng):
         return "unknown_effect"
     other_model = comparison.alternative_model
-    if other_model and any(chances.get(other_model, 0.0) > chances[effect] for effect, chances in probabilities.items()):
+    if other_model and any(others.get(other_model, 0.0) > others[effect] for effect, others in probabilities.items()):
         return "unknown_effect"
     return _explained_or_ambiguous(comparison, probabilities)
 
 
-def decide_change(comparison: ModelComparison, probabilities: Probabilities, rng: np.random.Generator) -> Verdict:
-    """Decide what can be said of a change; see `mrd_diagnosis.change`. What no change explains counts as noise there."""
+def verdict_on_change(comparison: ModelComparison, probabilities: Probabilities, rng: np.random.Generator) -> Verdict:
+    """Return what a model comparison says of a change; see `mrd_diagnosis.explain_change`. What no change explains counts as
+    noise there.
+    """
     base, best = comparison.base, comparison.best
     if not comparison.effects:
         return "no_gap" if base.chi_square <= THRESHOLDS.noise_chi_square else "unknown_effect"
@@ -60,6 +73,37 @@ def decide_change(comparison: ModelComparison, probabilities: Probabilities, rng
     if not _explains(comparison, closed.value, rng):
         return "partly_explained"
     return _explained_or_ambiguous(comparison, probabilities)
+
+
+def verdict_beside_other_forms(named: Collection[str]) -> Verdict:
+    """Return what effects that hold around other damper models say: they are a part of the explanation, if there are any."""
+    return "partly_explained" if named else "unknown_effect"
+
+
+def verdict_after_rejection(
+    verdict: Verdict, named: Collection[str], rejected_by: Collection[Rule], limitations: Collection[Finding]
+) -> Verdict:
+    """Return what remains of a verdict when some effects that would have been named are rejected.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Before the rejection.
+    named : collection of str
+        Effects that no rule rejects.
+    rejected_by : collection of Rule
+        For each of the others, the rule that rejects it.
+    limitations : collection of Finding
+        Limitations of the recordings for which effects were rejected.
+    """
+    if not rejected_by:
+        return verdict
+    if named:
+        return "partly_explained"
+    if limitations:
+        return "data_fault"
+    may_be_there = verdict in ("explained", "ambiguous") and all(rule.leaves_open for rule in rejected_by)
+    return "ambiguous" if may_be_there else "unknown_effect"
 
 
 def _explained_or_ambiguous(comparison: ModelComparison, probabilities: Probabilities) -> Verdict:
@@ -75,7 +119,7 @@ def _explains(comparison: ModelComparison, closed: float, rng: np.random.Generat
     draws = bootstrap_counts(len(best.held_out_chi_squares), rng)
     samples = np.array([fold.stop - fold.start for _, fold in comparison.weighting.folds], dtype=float)
     excess = best.chi_square - 1.0
-    surely_in_excess = float(np.quantile((draws @ best.held_out_chi_squares) / (draws @ samples), 0.1)) - 1.0
+    surely_in_excess = float(np.quantile((draws @ best.held_out_chi_squares) / (draws @ samples), LOWER_QUANTILE)) - 1.0
     tolerated = tolerated_excess(comparison.base)
     near_noise = excess <= THRESHOLDS.near_noise_excess
     needed = THRESHOLDS.least_closed_near_noise if near_noise else THRESHOLDS.least_closed

@@ -1,4 +1,4 @@
-"""The damper models around which causes are judged: those that add most to the prediction."""
+"""Stacking: the damper models around which causes are judged are those that add most to a joint prediction."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ MOST_FORMS = 3
 """Damper models around which a cause is judged."""
 
 
-def weighted_forms(own: Refit, others: Sequence[Refit]) -> list[Refit]:
+def stacked_forms(own: Refit, others: Sequence[Refit]) -> list[Refit]:
     """Return the damper models with the largest weights; first the one around which causes are searched.
 
     Of refits of one model with more or less freedom, the best counts. Among the models that predict about as well as the

@@ -1,4 +1,4 @@
-"""Gap: which effects explain the difference between a damper model and recordings."""
+"""Explanation of a gap: which effects explain the difference between a damper model and recordings."""
 
 from collections.abc import Callable, Sequence
 
@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base.progress import ignore
-from mrd_diagnosis.decision.decision import decide
-from mrd_diagnosis.decision.explanation import Explained, Explanation, probabilities_of_alternatives
+from mrd_diagnosis.decision.explanation import Explanation, FittedExplanation, probabilities_of_alternatives
+from mrd_diagnosis.decision.verdict import verdict_on_gap
 from mrd_diagnosis.fitting.null_distribution import draw_null_gains
 from mrd_diagnosis.fitting.refit import Refit
 from mrd_diagnosis.fitting.weighting import Weighting
 from mrd_diagnosis.search.alternative_models import fit_alternative_models
 from mrd_diagnosis.search.effect_search import search_effects, tolerated_excess
-from mrd_diagnosis.search.model_comparison import Compared, as_it_is, compare_models, compare_on_all_samples
+from mrd_diagnosis.search.model_comparison import RefitComparison, compare_models, compare_on_all_samples, unchanged
 from mrd_diagnosis.wrong_form.partial_explanation import explain_in_part, rests_on_form
 from mrd_identification.preflight.excitation import repeats_one_stroke
 
@@ -28,8 +28,8 @@ def explain_gap(
     effects: Sequence[str],
     rng: np.random.Generator,
     progress: Progress = ignore,
-    asked: Compared = as_it_is,
-) -> Explained:
+    in_loop: RefitComparison = unchanged,
+) -> FittedExplanation:
     """Explain the gap of a model: by effects beside it, by another model, or by effects beside another form.
 
     Parameters
@@ -44,7 +44,7 @@ def explain_gap(
     rng : numpy Generator
     progress : callable
         Called with the step and the fraction of the work that is done.
-    asked : callable
+    in_loop : callable
         Refits what a comparison chose with a user's simulator in the loop, where there is one.
     """
     chosen, fits = search_effects(
@@ -55,20 +55,20 @@ def explain_gap(
     null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng)
     comparison = compare_models(weighting, base, chosen, fits, rng)
     p_values = {fit.effects[-1]: null_gains.p_value(fit.gain, fit.refit.problem) for fit in chosen}
-    comparison = asked(comparison)
-    complete = asked(compare_on_all_samples(comparison, rng))
+    comparison = in_loop(comparison)
+    complete = in_loop(compare_on_all_samples(comparison, rng))
     other_models: dict[str, Refit] = {}
-    chances = probabilities_of_alternatives(comparison, rng)
-    verdict = decide(complete, base.chi_square, chances, p_values, rng)
+    probabilities = probabilities_of_alternatives(comparison, rng)
+    verdict = verdict_on_gap(complete, base.chi_square, probabilities, p_values, rng)
     if verdict in ("explained", "ambiguous"):
         # Before an effect is named: another damper model may explain as much without any.
         progress("trying other damper models", 0.45)
         excess = comparison.best.chi_square - 1.0
         other_models = fit_alternative_models(comparison.weighting, comparison.base, excess, rng)
         comparison, complete = (compared.with_alternative_models(other_models) for compared in (comparison, complete))
-        chances = probabilities_of_alternatives(comparison, rng)
-        verdict = decide(complete, base.chi_square, chances, p_values, rng)
-    explanation = Explanation(verdict, comparison, chances, p_values)
+        probabilities = probabilities_of_alternatives(comparison, rng)
+        verdict = verdict_on_gap(complete, base.chi_square, probabilities, p_values, rng)
+    explanation = Explanation(verdict, comparison, probabilities, p_values)
     if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
         if not other_models:
             progress("trying other damper models", 0.45)
@@ -84,5 +84,5 @@ def explain_gap(
             rng,
             lambda fraction: progress("looking for causes beside a wrong form", 0.5 + 0.5 * fraction),
         )
-        complete = asked(compare_on_all_samples(explanation.comparison, rng))
-    return Explained(explanation, complete, singles, null_gains, other_models)
+        complete = in_loop(compare_on_all_samples(explanation.comparison, rng))
+    return FittedExplanation(explanation, complete, singles, null_gains, other_models)
