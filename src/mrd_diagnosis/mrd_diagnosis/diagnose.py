@@ -41,7 +41,7 @@ from mrd_diagnosis.report.sentences import fault_sentence, imitation_note, verdi
 from mrd_diagnosis.search.alternative_models import OTHER_MODELS, best_model
 from mrd_diagnosis.search.model_comparison import ModelComparison, RefitComparison, unchanged
 from mrd_diagnosis.simulator.in_the_loop import SimulatorInLoop
-from mrd_diagnosis.simulator.refit import refit_parameters
+from mrd_diagnosis.simulator.parameter_fit import refit_parameters
 from mrd_diagnosis.simulator.stand_in import note_on, represent
 from mrd_diagnosis.wrong_form.flexible_remainder import explainable_fraction
 from mrd_identification.fit_file import StoredFit

@@ -19,7 +19,7 @@ from mrd_diagnosis.report.page import page_content, write_gap_report
 from mrd_diagnosis.report.sentences import next_command
 from mrd_diagnosis.report.validation_page import write_validation
 from mrd_diagnosis.simulator.in_the_loop import SimulatorInLoop
-from mrd_diagnosis.simulator.refit import refit_parameters
+from mrd_diagnosis.simulator.parameter_fit import refit_parameters
 from mrd_diagnosis.simulator.stand_in import beside_model, simulated_forces
 from mrd_identification.export import export_damper, load_damper
 from mrd_identification.plot import write_plot

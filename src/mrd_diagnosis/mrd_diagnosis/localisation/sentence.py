@@ -40,19 +40,19 @@ AS_DENSE = 0.9
 def where_sentence(diagnosis: Diagnosis, error: str = "the error") -> str:
     """Return where most of the error lies; empty where no place of the recordings has significantly more than the others."""
     oscillation, place = diagnosis.oscillation, headline_place(diagnosis.where)
-    there = _share_sentence(place, error) if place else ""
+    there = _share_clause(place, error) if place else ""
     if oscillation is None:
-        return capitalised(there)
+        return f"{capitalised(there)}." if there else ""
     share = oscillation.share.value
     much = f"{'Nearly all' if share > NEARLY_ALL_OSCILLATES else 'Most'} of {error}"
-    also = f", and {there.removesuffix('.')}" if place and place.share.value > 0.5 else ""
+    also = f", and {there}" if place and place.share.value > 0.5 else ""
     return f"{much} ({format_share(share)}) is {oscillation.label}{also}."
 
 
 def place_sentence(where: Sequence[Region], error: str = "the error") -> str:
     """Return where most of an error lies; empty where no place has significantly more than the others."""
     place = headline_place(where)
-    return capitalised(_share_sentence(place, error)) if place else ""
+    return f"{capitalised(_share_clause(place, error))}." if place else ""
 
 
 def headline_place(where: Sequence[Region]) -> Region | None:
@@ -123,12 +123,12 @@ def share_in_words(share: float) -> tuple[str, str]:
     return f"{format_share(share)} of", "lies"
 
 
-def _share_sentence(place: Region, error: str) -> str:
+def _share_clause(place: Region, error: str) -> str:
     """Return how much of the error lies in a place, and how many of the samples."""
     much, verb = share_in_words(place.share.value)
     samples = place.share.value / place.lift
     part = format_share(samples) if samples >= 0.005 else "less than 1 %"
-    return f"{much} {error} {verb} {_at(place.label)}, which is {part} of the samples."
+    return f"{much} {error} {verb} {_at(place.label)}, which is {part} of the samples"
 
 
 def _joined(regions: Sequence[Region]) -> Region:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mrd_diagnosis.diagnosis import Candidate, Diagnosis
-from mrd_diagnosis.report.sentences import corrected_label
+from mrd_diagnosis.report.sentences import found_several, what_was_found
 from mrd_diagnosis.wording.effect_names import effect_names
 from mrd_diagnosis.wording.quantities import format_error, format_p_value, format_probability, format_share
 
@@ -67,8 +67,7 @@ def _remark(diagnosis: Diagnosis, candidate: Candidate) -> str:
         and not likely.intersection(candidate.effects)
         and candidate.closed_fraction.lower > LEAST_SHOWN
     ):
-        cause = corrected_label(diagnosis).removeprefix("with ")
-        return f"imitates {cause}, which {'remove' if cause.endswith('s') else 'removes'} more"
+        return f"imitates {what_was_found(diagnosis)}, which {'remove' if found_several(diagnosis) else 'removes'} more"
     return ""
 
 

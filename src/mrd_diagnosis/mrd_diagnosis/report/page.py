@@ -34,12 +34,14 @@ from mrd_diagnosis.report.gap_file import write_gap_file
 from mrd_diagnosis.report.sentences import (
     FORM,
     corrected_label,
+    found_several,
     next_command,
     next_step,
     notable_model,
     open_share,
     placeholders,
     share_of_form,
+    what_was_found,
 )
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.wording.effect_names import STAGE_NAMES, candidate_title, effect_clause, effect_name, parameters_of_effect
@@ -49,6 +51,7 @@ from mrd_diagnosis.wording.quantities import (
     format_probability,
     format_quantity,
     format_share,
+    format_share_ends,
     join_words,
 )
 from mrd_identification.metrics import nrmse
@@ -317,18 +320,18 @@ def _model_without_effects(diagnosis: Diagnosis) -> str:
 
 
 def _headline_share(share: Interval, name: str) -> tuple[str, str, str]:
-    ends = format_share(share).partition("(")[2].rstrip(")")
+    ends = format_share_ends(share)
     return format_share(share.value), name, ends and f"{ends} %"
 
 
 def _error_notes(diagnosis: Diagnosis, gap: Gap) -> list[str]:
     """Return what the errors, from the parameters as given down to the noise, mean."""
-    notes, label = [], corrected_label(diagnosis).removeprefix("with ")
+    notes, found = [], what_was_found(diagnosis)
     if gap.as_given is not None and gap.as_given > 0:
         removed = max(1 - (gap.before.value / gap.as_given) ** 2, 0.0)
         notes.append(f"Refitting the parameters alone removes {format_share(removed)} of the squared error.")
-    removes = f"{label} {'remove' if label.endswith('s') else 'removes'}"
-    if label and np.isfinite(gap.closed_fraction.value):
+    removes = f"{found} {'remove' if found_several(diagnosis) else 'removes'}"
+    if found and np.isfinite(gap.closed_fraction.value):
         notes.append(f"{capitalised(removes)} {format_share(gap.closed_fraction)} of the gap.")
     if diagnosis.verdict not in ("no_gap", "partly_explained"):
         notes.append(_check_note(diagnosis, gap))
@@ -337,7 +340,7 @@ def _error_notes(diagnosis: Diagnosis, gap: Gap) -> list[str]:
             f"On the runs that go beyond the others in stroke, speed or current, {removes} "
             f"{format_share(gap.extrapolated)} of the gap. There the parameters were fitted to the other runs only."
         )
-    elif label:
+    elif found:
         notes.append("No run exceeds the others in stroke, speed or current; beyond these the result is untested.")
     return notes
 
@@ -395,11 +398,7 @@ def _remains(diagnosis: Diagnosis, gap: Gap) -> list[str]:
 
 def _cause_facts(diagnosis: Diagnosis, cause: Cause, gap: Gap) -> str:
     """Return how certain a cause is, and how much it removes."""
-    if diagnosis.verdict == "unknown_effect":
-        # The model certainly lacks such an effect, whatever else is missing.
-        certainty = "the model does not contain this effect at all"
-    else:
-        certainty = f"probability {format_probability(cause.probability)}"
+    certainty = f"probability {format_probability(cause.probability)}"
     if cause.level == "class":
         probabilities = [
             f"{effect_name(other.effect)} ({format_probability(other.probability)})" for other in cause.members[1:]

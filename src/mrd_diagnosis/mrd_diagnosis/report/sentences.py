@@ -291,7 +291,7 @@ def notable_model(diagnosis: Diagnosis) -> AlternativeModel | None:
 
 def next_step(diagnosis: Diagnosis) -> str:
     """Return what to do after a verdict; empty where nothing follows. `next_command` has the command for it."""
-    add = f"Add {corrected_label(diagnosis).removeprefix('with ')} to your simulator, with the next command."
+    add = f"Add {what_was_found(diagnosis)} to your simulator, with the next command."
     unproven = ""
     if _is_doubtful(diagnosis):
         unproven = f", though it is not proven (a probability below {100 * THRESHOLDS.named_support:g} %)"
@@ -396,15 +396,16 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     apply = f"{command('mrd_diagnosis', 'apply')} {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     apply += folder_arguments()
     corrected = f"{folder}/gap_report.json"
+    anyway = f"{apply} --anyway"
     if _is_doubtful(diagnosis):
         # A report that proves nothing is only read by `apply`.
-        apply, corrected = f"{apply} --anyway", "CORRECTED.yaml"
+        apply, corrected = anyway, "CORRECTED.yaml"
     reviews = review_commands(diagnosis.runs, corrected)
     if diagnosis.verdict == "explained":
         return "\n".join([apply, *reviews])
     if diagnosis.verdict == "ambiguous" and diagnosis.causes:
         if diagnosis.next_experiment is None or not diagnosis.next_experiment.experiment:
-            return apply if apply.endswith(" --anyway") else f"{apply} --anyway"
+            return anyway
         return f"{record}{diagnose} NEW_RUN{held_out}{reference} {model_arguments(diagnosis.model.id, laws)} --output DIR"
     if diagnosis.verdict not in ("partly_explained", "unknown_effect"):
         return ""
@@ -430,13 +431,29 @@ def _remedies(diagnosis: Diagnosis) -> str:
 
 def corrected_label(diagnosis: Diagnosis) -> str:
     """Return what the corrected simulator contains, such as "with the cause"; empty where it contains no effect."""
+    found = what_was_found(diagnosis)
+    return f"with {found}" if found else ""
+
+
+def what_was_found(diagnosis: Diagnosis) -> str:
+    """Return what the corrected simulator contains, such as "the cause"; empty where it contains no effect."""
     if diagnosis.corrected is None or not diagnosis.corrected.effects:
         return ""
+    several = "s" if found_several(diagnosis) else ""
     if diagnosis.verdict in ("explained", "partly_explained"):
-        return "with the cause" if len(diagnosis.causes) == 1 else "with the causes"
-    if diagnosis.verdict == "ambiguous" and diagnosis.causes:
-        return "with the most likely cause" if len(diagnosis.causes) == 1 else "with the most likely causes"
-    return "with the nearest effect" if len(diagnosis.corrected.effects) == 1 else "with the nearest effects"
+        return f"the cause{several}"
+    return f"the most likely cause{several}" if _has_likely_causes(diagnosis) else f"the nearest effect{several}"
+
+
+def found_several(diagnosis: Diagnosis) -> bool:
+    """Whether `what_was_found` is several effects."""
+    if diagnosis.verdict in ("explained", "partly_explained") or _has_likely_causes(diagnosis):
+        return len(diagnosis.causes) != 1
+    return diagnosis.corrected is not None and len(diagnosis.corrected.effects) != 1
+
+
+def _has_likely_causes(diagnosis: Diagnosis) -> bool:
+    return diagnosis.verdict == "ambiguous" and bool(diagnosis.causes)
 
 
 def _clauses(causes: Sequence[Cause]) -> str:

@@ -54,12 +54,17 @@ def format_share(value: float | Interval) -> str:
     """Format a share in whole per cent, with its interval if it has one; shares are limited to ±100 %."""
     if not isinstance(value, Interval):
         return f"{_decimals(100 * value, 0)} %" if math.isfinite(value) else "–"
-    if not math.isfinite(value.value):
-        return "–"
     if value.value <= -1.0:
         return "≤ \u2212100 %"
-    ends = f" ({_decimals(100 * value.lower, 0)} to {_decimals(100 * value.upper, 0)})"
-    return format_share(value.value) + (ends if math.isfinite(value.lower + value.upper) else "")
+    ends = format_share_ends(value)
+    return format_share(value.value) + (f" ({ends})" if ends else "")
+
+
+def format_share_ends(share: Interval) -> str:
+    """Format the interval of a share in per cent, without the unit; empty where it has none, or its value is not shown."""
+    if not (share.value > -1.0 and math.isfinite(share.value + share.lower + share.upper)):
+        return ""
+    return f"{_decimals(100 * share.lower, 0)} to {_decimals(100 * share.upper, 0)}"
 
 
 def format_probability(value: float) -> str:
