@@ -3,8 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 from mrd_base.progress import ignore
-from mrd_diagnosis.diagnose import Progress, diagnose
+from mrd_diagnosis.diagnose import diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
+from mrd_diagnosis.start import Progress
 from mrd_diagnosis.trend.calendar import Calendar
 from mrd_identification.fit_file import StoredFit
 from mrd_runs import Run
