@@ -13,7 +13,7 @@ from rich.table import Table
 from scipy.optimize import least_squares
 
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.fitting.base_fit import BaseFit, global_fit, with_effect
+from mrd_diagnosis.fitting.base_fit import LinearisedRefit, global_fit, with_effect
 from mrd_diagnosis.fitting.refit import refit
 from mrd_diagnosis.fitting.weighting import Weighting, usual_run_scatter
 from mrd_diagnosis.noise.noise_model import estimate_noise
@@ -66,7 +66,7 @@ def candidates(runs: list[Run]) -> Table:
     theta = global_fit(problem, None, np.random.default_rng(0))
     noise = estimate_noise(recordings, base, theta, np.random.default_rng(0))
     weighting = Weighting(recordings, noise, usual_run_scatter(base.scales), {"coil_lag": 0.0}).updated(base, theta)
-    base_fit = BaseFit.linearise(weighting, refit(weighting.problem(base, theta), theta, weighting.folds))
+    base_fit = LinearisedRefit.around(weighting, refit(weighting.problem(base, theta), theta, weighting.folds))
     table = Table("candidate", box=None)
     for title in ("score", "refit and folds left out", "scipy, refit only", "ratio"):
         table.add_column(title, justify="right")

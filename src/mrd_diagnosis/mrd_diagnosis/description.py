@@ -16,13 +16,13 @@ from mrd_diagnosis.diagnosis import Advice, Candidate, CorrectedSimulator, Diagn
 from mrd_diagnosis.experiment_design.open_explanations import advise_next
 from mrd_diagnosis.fitting.base_fit import FittedBase
 from mrd_diagnosis.fitting.refit import Refit, refit_on
+from mrd_diagnosis.fitting.residual_regression import explainable_fraction
 from mrd_diagnosis.fitting.weighting import Weighting, error_of_run
 from mrd_diagnosis.localisation.localise import localise
 from mrd_diagnosis.localisation.oscillation import find_oscillation
 from mrd_diagnosis.recordings.limitations import limitation_notes
 from mrd_diagnosis.search.model_comparison import ModelComparison
 from mrd_diagnosis.start import Request, Start
-from mrd_diagnosis.wrong_form.flexible_remainder import explainable_fraction
 from mrd_identification.metrics import nrmse
 from mrd_sim.models import DamperModel
 from mrd_trajectory.settings import GeneratorSettings
@@ -190,7 +190,7 @@ def _error_as_given(model: DamperModel, theta: Array | None, weighting: Weightin
     recordings, noise = [residual.recording for residual in residuals], [residual.noise for residual in residuals]
     problem = replace(weighting, recordings=recordings, noise=noise).problem(model, theta)
     counted = [run for run, residual in enumerate(residuals) if residual.held_out == closure.counted[0].held_out]
-    errors = [error_of_run(problem, theta, run)[1] for run in counted]
+    errors = [error_of_run(problem, theta, run).newtons for run in counted]
     return nrmse(np.concatenate(errors), np.concatenate([recordings[run].force for run in counted]))
 
 

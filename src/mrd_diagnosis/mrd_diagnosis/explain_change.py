@@ -17,12 +17,12 @@ from mrd_diagnosis.decision.explanation import Explanation, FittedExplanation, p
 from mrd_diagnosis.decision.verdict import verdict_on_change
 from mrd_diagnosis.fitting.null_distribution import draw_null_gains
 from mrd_diagnosis.fitting.refit import Refit, refit, refit_on
+from mrd_diagnosis.fitting.residual_regression import flexible_functions
 from mrd_diagnosis.fitting.statistics import error_dispersion
 from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, error_of_run
 from mrd_diagnosis.search.effect_search import search_effects
 from mrd_diagnosis.search.model_comparison import compare_on
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_diagnosis.wrong_form.flexible_remainder import flexible_functions
 from mrd_diagnosis.wrong_form.form_remainder import SCALES, columns_by_run, form_columns, orthogonal, with_remainder
 from mrd_identification.recording import consecutive_forces
 
@@ -114,7 +114,7 @@ def exceeds_run_scatter(refitted: Refit, effect: str) -> bool:
     least = THRESHOLDS.least_information * min(max(information[run] for run in side) for side in sides)
 
     def error(run: int, values: Array) -> Array:
-        return error_of_run(problem, values, run, refitted.coefficients)[0]
+        return error_of_run(problem, values, run, refitted.coefficients).white
 
     def tells(run: int) -> bool:
         """Whether a run tells the size, or at least whether the effect is there."""
@@ -134,7 +134,7 @@ def _functions(weighting: Weighting, base: Refit, rng: np.random.Generator) -> t
     """Return the functions of the common remainder, and those of one that acts after the change only (samples, columns)."""
     recordings = weighting.recordings
     form = form_columns(recordings)
-    residuals = [-error_of_run(base.problem, base.theta, run)[1] for run in range(len(recordings))]
+    residuals = [-error_of_run(base.problem, base.theta, run).newtons for run in range(len(recordings))]
     flexible = flexible_functions(recordings, residuals, rng, FOURIER_FEATURES)
     few = flexible[:, :-FOURIER_FEATURES]
     changed = np.concatenate([np.full(len(recording.force), not recording.without_effects) for recording in recordings])
@@ -177,4 +177,4 @@ def _null_errors(weighting: Weighting, fitted: Refit) -> list[Array]:
     """Return the white errors (1, n) of each run that a refit leaves: as large and correlated as without a change."""
     problem = replace(weighting, remainder=fitted.problem.remainder).problem(fitted.problem.model, fitted.theta)
     runs = range(len(weighting.recordings))
-    return [error_of_run(problem, fitted.theta, run, fitted.coefficients)[0][None] for run in runs]
+    return [error_of_run(problem, fitted.theta, run, fitted.coefficients).white[None] for run in runs]

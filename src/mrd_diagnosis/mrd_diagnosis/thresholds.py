@@ -86,7 +86,7 @@ class Thresholds:
         "share that effects of the form must close by their own formulas to be named",
         "measured recordings with known errors, seed 63",
     )
-    named_support: float = threshold(
+    least_probability: float = threshold(
         LEAST_PROBABILITY,
         "",
         "probability of presence from which a class of effects is named, and share of the probability of all effects from "
@@ -209,10 +209,11 @@ class Thresholds:
         "factor by which refitting the parameters must lower the error to be reported as the cause of the gap",
         "the first simulated dampers",
     )
-    notable_alternative_model: float = threshold(
+    notable_share: float = threshold(
         0.05,
-        "of the remaining gap",
-        "share that another model must close beyond the nearest effect to be mentioned",
+        "of the gap, or of what remains of it",
+        "share up to which a report leaves out what an effect, the form or another model closes, and up to which an effect "
+        "that does not belong to the explanation is rejected as closing little",
         "the first simulated dampers",
     )
 

@@ -14,7 +14,7 @@ from mrd_diagnosis import diagnose
 from mrd_diagnosis.cli import diagnose as diagnose_tool
 from mrd_diagnosis.decision import verdict as rules_of_verdict
 from mrd_diagnosis.diagnosis import Interval
-from mrd_diagnosis.fitting.base_fit import BaseFit, fit_base
+from mrd_diagnosis.fitting.base_fit import LinearisedRefit, fit_base
 from mrd_diagnosis.fitting.refit import refit_on
 from mrd_diagnosis.search.effect_search import refit_with_effects, score_effects
 from mrd_diagnosis.search.model_comparison import ModelComparison
@@ -330,9 +330,9 @@ def test_a_second_cause_is_found_within_the_tolerance_of_the_first_formula():
 def test_a_play_far_smaller_than_typical_scores_best_beside_a_lag():
     runs = recorded({"backlash": {"play": 7e-5}, "force_sensor_lag": {"lag": 0.0017}}, seed=3, rate=500)
     fit = fit_base(find_model("bouc_wen"), None, [prepare_recording(run) for run in runs], np.random.default_rng(0))
-    (lagging,) = refit_with_effects(fit.weighting, BaseFit.linearise(fit.weighting, fit.base), ["force_sensor_lag"], 1)
+    (lagging,) = refit_with_effects(fit.weighting, LinearisedRefit.around(fit.weighting, fit.base), ["force_sensor_lag"], 1)
     weighting = fit.weighting.updated(lagging.refit.problem.model, lagging.refit.theta)
-    base_fit = BaseFit.linearise(weighting, refit_on(weighting, lagging.refit))
+    base_fit = LinearisedRefit.around(weighting, refit_on(weighting, lagging.refit))
     of_play, *others = (score.gain for score in score_effects(weighting, base_fit, ["backlash", *FEW, "flow_asymmetry"]))
     assert of_play > 10 * max(others)
 

@@ -12,9 +12,10 @@ from scipy.stats import kstest
 
 from mrd_diagnosis.decision.verdict import verdict_on_gap
 from mrd_diagnosis.diagnosis import RunNoise
-from mrd_diagnosis.fitting.base_fit import BaseFit, with_effect
+from mrd_diagnosis.fitting.base_fit import LinearisedRefit, with_effect
 from mrd_diagnosis.fitting.null_distribution import draw_null_errors, draw_null_gains
 from mrd_diagnosis.fitting.refit import PLAUSIBLE_STEP, averaged_over_period, refit, scaled_inverse, without_each
+from mrd_diagnosis.fitting.run_scatter import estimate_run_scatter
 from mrd_diagnosis.fitting.statistics import (
     bootstrap_counts,
     certainty,
@@ -25,7 +26,7 @@ from mrd_diagnosis.fitting.statistics import (
 )
 from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, sum_of_squares, whitening
 from mrd_diagnosis.search.effect_search import EffectFit, refit_with_effects, score_effect, start_values
-from mrd_diagnosis.search.model_comparison import NO_EFFECT, compare_models, compare_on, estimate_run_scatter
+from mrd_diagnosis.search.model_comparison import NO_EFFECT, compare_models, compare_on
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
@@ -165,7 +166,7 @@ def test_a_parameter_that_other_folds_do_not_determine_is_held(alone, informatio
 
 def test_gains_in_noise_follow_their_null_distribution(weighting, alone):
     effects = ("moving_mass", "force_sensor_lag", "channel_delay")
-    base_fit = BaseFit.linearise(weighting, alone)
+    base_fit = LinearisedRefit.around(weighting, alone)
     problems = {name: neutral(weighting, name, alone.theta) for name in effects}
     noise = draw_null_errors(alone.problem, alone.theta, [FORCE_NOISE] * 5, INITIAL_RUN_SCATTER, np.random.default_rng(1))
     starts = {name: score_effect(problems[name], base_fit, EFFECTS[name]).start for name in effects}
@@ -205,7 +206,7 @@ def test_a_score_predicts_the_gain_of_a_fit():
     weighting_with_asymmetry = weighting_of([run(seed, model=model, theta=theta) for seed in range(5)])
     problem = weighting_with_asymmetry.problem(BASE, THETA)
     alone = refit(problem, fit_least_squares(problem, THETA)[0], weighting_with_asymmetry.folds)
-    base_fit = BaseFit.linearise(weighting_with_asymmetry, alone)
+    base_fit = LinearisedRefit.around(weighting_with_asymmetry, alone)
     scores = {
         name: score_effect(neutral(weighting_with_asymmetry, name, alone.theta), base_fit, EFFECTS[name])
         for name in ("flow_asymmetry", "moving_mass", "coil_lag", "load_cell_gain")
@@ -221,7 +222,7 @@ def test_a_score_predicts_the_gain_of_a_fit():
 
 def test_an_effect_with_which_the_model_diverges_scores_nothing(weighting, alone):
     """A damper whose viscosity is negative at some current is unstable behind a spring: its force overflows, or is none."""
-    base_fit = BaseFit.linearise(weighting, alone)
+    base_fit = LinearisedRefit.around(weighting, alone)
     problem = neutral(weighting, "series_compliance", alone.theta)
     for diverged in np.full((2, len(problem.force)), [[1e200], [np.nan]]):
         stub = SimpleNamespace(model=problem.model, force=problem.force, residuals=lambda theta, errors=diverged: errors)
@@ -348,7 +349,7 @@ def test_an_effect_that_another_one_makes_superfluous_is_dropped(true):
     alone = refit(weighting.problem(BASE, THETA), THETA, weighting.folds)
     chosen, fitted = [], alone
     for present, name in ((), "moving_mass"), (("moving_mass",), "gas_spring"):
-        (fit,) = refit_with_effects(weighting, BaseFit.linearise(weighting, fitted), [name], 1, present=present)
+        (fit,) = refit_with_effects(weighting, LinearisedRefit.around(weighting, fitted), [name], 1, present=present)
         chosen, fitted = [*chosen, fit], fit.refit
     comparison = compare_models(weighting, alone, chosen, chosen[:1], np.random.default_rng(0))
     assert set(comparison.effects) == set(true)
@@ -378,7 +379,7 @@ def delayed():
     theta = model.vector({"yield_force": 60.0, "yield_force_per_A": 800.0, "coil_lag": 0.0, "channel_delay.delay": 0.01})
     weighting = weighting_of([run(seed, model=model, theta=theta) for seed in range(5)])
     alone = refit(weighting.problem(BASE, THETA), THETA, weighting.folds)
-    (fit,) = refit_with_effects(weighting, BaseFit.linearise(weighting, alone), ["channel_delay"], 1)
+    (fit,) = refit_with_effects(weighting, LinearisedRefit.around(weighting, alone), ["channel_delay"], 1)
     return compare_models(weighting, alone, [fit], [fit], np.random.default_rng(0)), alone.chi_square
 
 

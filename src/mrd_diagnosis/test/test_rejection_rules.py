@@ -16,7 +16,7 @@ from mrd_diagnosis import diagnose
 from mrd_diagnosis.decision import causes
 from mrd_diagnosis.decision.rejection_rules import RULES, Claim, markdown_table, rejecting_rule
 from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Finding, Interval, ParameterEstimate
-from mrd_diagnosis.fitting.base_fit import BaseFit
+from mrd_diagnosis.fitting.base_fit import LinearisedRefit
 from mrd_diagnosis.recordings.imitating_limitations import clock_finding, imitating_limitations
 from mrd_diagnosis.report.gap_file import to_json
 from mrd_diagnosis.report.sentences import next_command, next_step
@@ -252,7 +252,7 @@ def test_an_effect_is_not_explained_where_another_damper_model_does_as_much(monk
 
     def as_good(effect, weighting, base, _enough, _rng):
         asked.append(effect)
-        (fit,) = refit_with_effects(weighting, BaseFit.linearise(weighting, base), [effect], 1)
+        (fit,) = refit_with_effects(weighting, LinearisedRefit.around(weighting, base), [effect], 1)
         return {"modified_lugre": fit.refit}
 
     monkeypatch.setattr(module, "fit_alternative_models", partial(as_good, "channel_delay"))

@@ -109,7 +109,7 @@ def learn(rows: Sequence[Row], trials: Sequence[Mapping[str, Any]]) -> PresenceM
     probability = left_out[penalty]
     intercept, weights = _fit(evidence, right, names, penalty)
     measured = calibration(probability, right)
-    named = probability >= THRESHOLDS.named_support
+    named = probability >= THRESHOLDS.least_probability
     card = {
         "trials": list(trials),
         "effects weighed": len(rows),

@@ -193,7 +193,7 @@ class _HeldOutErrors:
 def _leave_out(refit: Refit, comparison: ModelComparison, by_folds: Sequence[bool]) -> _HeldOutErrors:
     problem, runs = refit.problem, range(len(by_folds))
     fits = _without_each_run(refit, comparison) if len(by_folds) > 1 else [(refit.theta, refit.coefficients)]
-    by_other_runs = [-error_of_run(problem, theta, run, rest)[1] for run, (theta, rest) in zip(runs, fits, strict=True)]
+    by_other_runs = [-error_of_run(problem, theta, run, rest).newtons for run, (theta, rest) in zip(runs, fits, strict=True)]
     thetas, coefficients = without_each(
         problem, problem.unit(refit.theta), refit.coefficients, refit.normal_matrices, refit.gradients
     )
@@ -205,7 +205,7 @@ def _leave_out(refit: Refit, comparison: ModelComparison, by_folds: Sequence[boo
         for (run_of_fold, fold), theta, rest in zip(comparison.weighting.folds, thetas, coefficients, strict=True):
             if run_of_fold == run:
                 samples = slice(fold.start - problem.blocks[run].start, fold.stop - problem.blocks[run].start)
-                known[run][samples] = -error_of_run(problem, theta, run, rest)[1][samples]
+                known[run][samples] = -error_of_run(problem, theta, run, rest).newtons[samples]
     return _HeldOutErrors(by_other_runs, known)
 
 
@@ -260,7 +260,7 @@ def _set_aside(
         fits.append(replace(fit, problem=extended.problem(fit.problem.model, fit.theta)))
     residuals = []
     for run, (recording, noise_of_run) in enumerate(zip(started, noise, strict=True), first):
-        before, after = (-error_of_run(fit.problem, fit.theta, run)[1] for fit in fits)
+        before, after = (-error_of_run(fit.problem, fit.theta, run).newtons for fit in fits)
         excess = exceeded_ranges(recording, weighting.recordings)
         residual = _run_residual(fits[1], run, recording, noise_of_run, before, after, excess, False)
         residuals.append(replace(residual, held_out=True))

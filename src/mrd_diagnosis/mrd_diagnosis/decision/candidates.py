@@ -8,7 +8,7 @@ from mrd_diagnosis.closure.closure import closed_fraction_between
 from mrd_diagnosis.decision.verdict import Probabilities
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Candidate, UntestableEffect
 from mrd_diagnosis.evidence.detectability import clause_of_size, detectable_sizes
-from mrd_diagnosis.fitting.base_fit import BaseFit
+from mrd_diagnosis.fitting.base_fit import LinearisedRefit
 from mrd_diagnosis.fitting.null_distribution import NullGains
 from mrd_diagnosis.fitting.refit import Refit
 from mrd_diagnosis.fitting.statistics import effect_parameters
@@ -96,7 +96,7 @@ def _detectable(comparison: ModelComparison, effects: Sequence[str]) -> dict[str
     weighting, best = comparison.weighting, comparison.best
     threshold = detection_threshold(weighting, comparison.base, best)
     described = {}
-    for detectability in detectable_sizes(weighting, BaseFit.linearise(weighting, best), effects, threshold):
+    for detectability in detectable_sizes(weighting, LinearisedRefit.around(weighting, best), effects, threshold):
         effect, smallest = detectability.effect, ""
         if np.isfinite(detectability.smallest_size):
             smallest = clause_of_size(EFFECTS[effect], detectability.smallest_size)

@@ -74,7 +74,7 @@ def level_of(effect: str, members: tuple[Member, ...], probabilities: Mapping[st
     than all other effects together; the stage where the effects that act in it are.
     """
     of_class = sum(member.probability for member in members)
-    needed = THRESHOLDS.named_support * sum(probability for name, probability in probabilities.items() if name)
+    needed = THRESHOLDS.least_probability * sum(probability for name, probability in probabilities.items() if name)
     if of_class >= needed:
         clear = members[0].probability >= THRESHOLDS.named_probability * of_class
         return "effect" if clear else "class"

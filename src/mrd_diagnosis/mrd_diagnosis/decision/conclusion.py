@@ -69,33 +69,19 @@ def conclude(
         See `mrd_diagnosis.explain_gap.explain_gap`.
     """
     causes = name_causes(replace(explanation, comparison=complete), rng)
-    closed = closed_fraction_between(complete.base, complete.best, complete, rng).value
-    open_fraction = float(np.clip(1.0 - np.nan_to_num(closed), 0.0, 1.0))
     of_clocks = clock_finding(runs)
     named: list[Cause] = []
     rejected: list[Rejected] = []
     rules: list[Rule] = []
     reasons: list[Finding] = []
-    for cause in causes:
-        limitations = _unrefuted(cause.effect, imitating_limitations(cause.effect, findings), complete)
-        claim = Claim(
-            cause.effect,
-            cause.parameters,
-            cause.probability,
-            cause.p_value,
-            cause.closed_fraction,
-            open_fraction,
-            limitations=limitations,
-            clocks_agree=of_clocks is None,
-            level=cause.level,
-        )
+    for cause, claim in zip(causes, _claims(causes, complete, findings, of_clocks, rng), strict=True):
         rule = rejecting_rule(claim)
         if rule is None:
             named.append(cause)
             continue
         rules.append(rule)
         rejected.append(_rejected(claim, rule))
-        reasons += limitations if rule.id == "limitation" else [of_clocks] if rule.id == "clocks" and of_clocks else []
+        reasons += claim.limitations if rule.id == "limitation" else [of_clocks] if rule.id == "clocks" and of_clocks else []
     effects = [cause.effect for cause in named]
     explanation = replace(explanation, verdict=verdict_after_rejection(explanation.verdict, effects, rules, reasons))
     if rejected and named:
@@ -108,6 +94,32 @@ def conclude(
         named = list(name_causes(replace(explanation, comparison=complete), rng))
     causes = tuple(with_intervals_of_all_forms(cause, explanation) for cause in named)
     return Conclusion(explanation, complete, causes, tuple(rejected), tuple(dict.fromkeys(reasons)))
+
+
+def _claims(
+    causes: Sequence[Cause],
+    complete: ModelComparison,
+    findings: Sequence[Finding],
+    of_clocks: Finding | None,
+    rng: np.random.Generator,
+) -> list[Claim]:
+    """Return what is claimed of each cause, with what speaks against it."""
+    closed = closed_fraction_between(complete.base, complete.best, complete, rng).value
+    open_fraction = float(np.clip(1.0 - np.nan_to_num(closed), 0.0, 1.0))
+    return [
+        Claim(
+            cause.effect,
+            cause.parameters,
+            cause.probability,
+            cause.p_value,
+            cause.closed_fraction,
+            open_fraction,
+            limitations=_unrefuted(cause.effect, imitating_limitations(cause.effect, findings), complete),
+            clocks_agree=of_clocks is None,
+            level=cause.level,
+        )
+        for cause in causes
+    ]
 
 
 def reject_others(

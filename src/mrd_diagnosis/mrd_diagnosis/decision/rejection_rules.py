@@ -117,7 +117,7 @@ def _may_be_absent(claim: Claim) -> bool:
 def _closes_little(claim: Claim) -> bool:
     # What holds beside a wrong form may be small beside it: it is a cause, though no headline.
     closed = claim.closed_fraction.value
-    least = 0.0 if claim.chosen else THRESHOLDS.notable_alternative_model * (max(closed, 0.0) + claim.open_fraction)
+    least = 0.0 if claim.chosen else THRESHOLDS.notable_share * (max(closed, 0.0) + claim.open_fraction)
     return closed <= least
 
 
@@ -141,7 +141,7 @@ RULES = (
     Rule(
         "evidence",
         "evidence like that for it was wrong more often than right, on dampers whose effects were known",
-        lambda claim: claim.presence < THRESHOLDS.named_support,
+        lambda claim: claim.presence < THRESHOLDS.least_probability,
     ),
     Rule(
         "other_model",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from mrd_diagnosis.diagnosis import Interval, ParameterEstimate
-from mrd_diagnosis.fitting.base_fit import BaseFit, with_effect
+from mrd_diagnosis.fitting.base_fit import LinearisedRefit, with_effect
 from mrd_diagnosis.fitting.refit import refit
 from mrd_diagnosis.fitting.weighting import RunScatter, Weighting
 from mrd_diagnosis.noise.noise_model import estimate_noise
@@ -72,7 +72,7 @@ DIVERGED = 1e100
 
 def simulate_base_fit(
     plans: Sequence[Plan], damper: Damper, rng: np.random.Generator, instruments: Instruments | None = None
-) -> tuple[Weighting, BaseFit]:
+) -> tuple[Weighting, LinearisedRefit]:
     """Simulate recordings of a damper without effects, and return their weighting and base fit.
 
     The noise is in the weighting, but hardly in the recordings: effects then change the recordings as they change the true
@@ -106,11 +106,11 @@ def simulate_base_fit(
         RunScatter(instruments.run_gain, instruments.run_offset),
         {"coil_lag": float(theta[model.names.index("coil_lag")])},
     )
-    return weighting, BaseFit.linearise(weighting, refit(weighting.problem(model, theta), theta, weighting.folds))
+    return weighting, LinearisedRefit.around(weighting, refit(weighting.problem(model, theta), theta, weighting.folds))
 
 
 def detectable_sizes(
-    weighting: Weighting, base_fit: BaseFit, effects: Sequence[str], needed: float | None = None
+    weighting: Weighting, base_fit: LinearisedRefit, effects: Sequence[str], needed: float | None = None
 ) -> list[Detectability]:
     """Return the smallest sizes of effects that recordings would show, and what each run contributes.
 
@@ -120,7 +120,7 @@ def detectable_sizes(
     Parameters
     ----------
     weighting : Weighting
-    base_fit : BaseFit
+    base_fit : LinearisedRefit
         The model refitted on this weighting.
     effects : sequence of str
         Ids of effects that the model does not have.
@@ -133,7 +133,7 @@ def detectable_sizes(
     return in_threads(lambda effect: _detectability(weighting, base_fit, effect, energy), named)
 
 
-def _detectability(weighting: Weighting, base_fit: BaseFit, effect: Effect, needed: float) -> Detectability:
+def _detectability(weighting: Weighting, base_fit: LinearisedRefit, effect: Effect, needed: float) -> Detectability:
     model, neutral = with_effect(base_fit.refit.problem.model, base_fit.refit.theta, effect.id)
     problem = weighting.problem(model, neutral)
     largest = largest_size(effect)

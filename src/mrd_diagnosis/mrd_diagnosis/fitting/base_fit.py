@@ -24,7 +24,7 @@ RANDOM_STARTS = 64
 
 
 @dataclass(frozen=True)
-class BaseFit:
+class LinearisedRefit:
     """A refitted model to which effects are added, linearised for their scores.
 
     Attributes
@@ -44,8 +44,8 @@ class BaseFit:
     inverse: Array
 
     @classmethod
-    def linearise(cls, weighting: Weighting, refitted: Refit) -> "BaseFit":
-        """Linearise a refit. The run's gain multiplies the force of this refit."""
+    def around(cls, weighting: Weighting, refitted: Refit) -> "LinearisedRefit":
+        """Linearise a model around a refit. The run's gain multiplies the force of this refit."""
         problem = weighting.problem(refitted.problem.model, refitted.theta)
         jacobian = problem.jacobian(problem.unit(refitted.theta))
         inverse = scaled_inverse(jacobian.T @ jacobian, 1e-10)

@@ -249,12 +249,13 @@ def held_out_errors(
         run, fold = folds[index]
         start = problem.blocks[run].start
         samples = slice(fold.start - start, fold.stop - start)
-        white, plain = (error[samples] for error in error_of_run(problem, thetas[index], run, coefficients[index]))
-        relative = plain / problem.sigmas[run][samples]
-        return sum_of_squares(white), sum_of_squares(plain), sum_of_squares(relative)
+        error = error_of_run(problem, thetas[index], run, coefficients[index])
+        white, newtons = error.white[samples], error.newtons[samples]
+        relative = newtons / problem.sigmas[run][samples]
+        return sum_of_squares(white), sum_of_squares(newtons), sum_of_squares(relative)
 
-    white, plain, relative = np.array(in_threads(errors_of, range(len(folds)))).T
-    return white, plain, relative
+    white, newtons, relative = np.array(in_threads(errors_of, range(len(folds)))).T
+    return white, newtons, relative
 
 
 def costs_of_halves(refitted: Refit) -> Array:

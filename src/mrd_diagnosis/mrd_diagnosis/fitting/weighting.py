@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,8 +187,15 @@ class WeightedProblem(Problem):
         return self.remainder[run] @ coefficients if self.remainder else np.zeros(len(self.recordings[run].force))
 
 
-def error_of_run(problem: WeightedProblem, theta: Array, run: int, coefficients: Array | None = None) -> tuple[Array, Array]:
-    """Return modelled minus measured force (n,) of a run: white, and in N without the run's offset, gain error and start.
+class RunError(NamedTuple):
+    """Modelled minus measured force (n,) of a run: white, and in N without the run's offset, gain error and start."""
+
+    white: Array
+    newtons: Array
+
+
+def error_of_run(problem: WeightedProblem, theta: Array, run: int, coefficients: Array | None = None) -> RunError:
+    """Return the error of a model in a run.
 
     ``coefficients`` are those of the remainder, which belongs to the modelled force; without them it is left out.
     """
@@ -195,7 +203,7 @@ def error_of_run(problem: WeightedProblem, theta: Array, run: int, coefficients:
     if coefficients is not None:
         error = error + problem.remainder_of_run(coefficients, run)
     whitening_of_run = problem.whitenings[run]
-    return whitening_of_run(error), whitening_of_run.without_run_errors(error)
+    return RunError(whitening_of_run(error), whitening_of_run.without_run_errors(error))
 
 
 def sum_of_squares(errors: Array) -> float:

@@ -372,7 +372,7 @@ def _remains(diagnosis: Diagnosis, gap: Gap) -> list[str]:
     ]
     if np.isnan(form):  # not asked, as of a change
         form = remaining
-    elif form > THRESHOLDS.notable_alternative_model:
+    elif form > THRESHOLDS.notable_share:
         lines.append(
             f"{format_share(form)} of the gap lies in the form of the damper model: a freer function of {FORM} would remove "
             "it."
@@ -381,7 +381,7 @@ def _remains(diagnosis: Diagnosis, gap: Gap) -> list[str]:
         lines.append(
             f"A freer form of the damper model, as a function of {FORM}, would remove almost nothing of what remains."
         )
-    if remaining - form > THRESHOLDS.notable_alternative_model:
+    if remaining - form > THRESHOLDS.notable_share:
         lines.append(f"For {format_share(remaining - form)} of the gap, neither a cause nor the form accounts.")
     if diagnosis.alternative_models:
         best = diagnosis.alternative_models[0]
@@ -415,7 +415,7 @@ def _nearest_cards(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     nearest = diagnosis.nearest
     if nearest is None or diagnosis.verdict == "partly_explained":
         return []
-    if nearest.closed_fraction.value <= THRESHOLDS.notable_alternative_model:
+    if nearest.closed_fraction.value <= THRESHOLDS.notable_share:
         return []
     causes = {cause.effect for cause in diagnosis.causes}
     removes = "all effects together remove" if len(nearest.effects) > 1 else "removes"

@@ -205,7 +205,7 @@ def _partly_explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
         likely = [f"{effect_name(other.effect)} ({format_probability(other.probability)})" for other in others]
         if likely:
             sentences.append(f"In place of {effect_name(cause.effect)}, the cause may be {join_words(likely, 'or')}.")
-    if form > THRESHOLDS.notable_alternative_model and not form_first:
+    if form > THRESHOLDS.notable_share and not form_first:
         sentences.append(
             f"Another {format_share(form)} lies in the form of the damper model: in how its force depends on {FORM}."
         )
@@ -264,12 +264,12 @@ def _unknown_effect_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
         return " ".join([*sentences, _model_to_try(model)])
     if in_form > MOST or is_seen(diagnosis):
         return " ".join(sentences)
-    if nearest is not None and nearest.closed_fraction.value > THRESHOLDS.notable_alternative_model:
+    if nearest is not None and nearest.closed_fraction.value > THRESHOLDS.notable_share:
         verb = "comes" if len(nearest.effects) == 1 else "come"
         share = format_share(nearest.closed_fraction.value)
         names = capitalised(effect_names(nearest.effects))
         sentences.append(f"{names} {verb} nearest: this would remove {share} of the {gap_name}.")
-    if gap.form_fraction > THRESHOLDS.notable_alternative_model:
+    if gap.form_fraction > THRESHOLDS.notable_share:
         sentences.append(
             f"A freer form of the damper model would remove {format_share(gap.form_fraction)} of the gap: the force depends "
             f"on {FORM} in another way than the model says."
@@ -285,7 +285,7 @@ def notable_model(diagnosis: Diagnosis) -> AlternativeModel | None:
     """Return the best other damper model if it closes notably more of the gap than the nearest effect."""
     models = () if diagnosis.stand_in else diagnosis.alternative_models
     reached = diagnosis.nearest.closed_fraction.value if diagnosis.nearest is not None else 0.0
-    needed = reached + THRESHOLDS.notable_alternative_model * (1.0 - reached)
+    needed = reached + THRESHOLDS.notable_share * (1.0 - reached)
     return models[0] if models and models[0].closed_fraction.value > needed else None
 
 
@@ -294,7 +294,7 @@ def next_step(diagnosis: Diagnosis) -> str:
     add = f"Add {what_was_found(diagnosis)} to your simulator, with the next command."
     unproven = ""
     if _is_doubtful(diagnosis):
-        unproven = f", though it is not proven (a probability below {100 * THRESHOLDS.named_support:g} %)"
+        unproven = f", though it is not proven (a probability below {100 * THRESHOLDS.least_probability:g} %)"
         add = f"The next command adds what was found to your simulator{unproven}."
     if diagnosis.verdict == "explained":
         return add

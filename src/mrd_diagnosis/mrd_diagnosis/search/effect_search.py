@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base.progress import ignore
-from mrd_diagnosis.fitting.base_fit import BaseFit, with_effect
+from mrd_diagnosis.fitting.base_fit import LinearisedRefit, with_effect
 from mrd_diagnosis.fitting.refit import CONVERGED, Refit, refit, refit_on
 from mrd_diagnosis.fitting.weighting import WeightedProblem, Weighting, sum_of_squares
 from mrd_diagnosis.thresholds import THRESHOLDS
@@ -106,7 +106,7 @@ def search_effects(
     """
     singles = refit_with_effects(
         weighting,
-        BaseFit.linearise(weighting, base),
+        LinearisedRefit.around(weighting, base),
         effects,
         len(effects),
         progress=lambda fraction: progress(0.6 * fraction),
@@ -134,20 +134,7 @@ def search_effects(
             break
         try_several = len(chosen) == 1 and not within_tolerance and not EFFECTS[best.effects[0]].structural
         leads = frontier[: FIRST_EFFECTS_TRIED if try_several else 1]
-        refitted = [before, *(refit_on(weighting, lead.refit) for lead in leads[1:])]
-        extended = [
-            fit
-            for lead, refit_of_lead in zip(leads, refitted, strict=True)
-            for fit in refit_with_effects(
-                weighting,
-                BaseFit.linearise(weighting, refit_of_lead),
-                [e for e in effects if e not in lead.effects],
-                BEST_SCORES,
-                by_itself,
-                present=lead.effects,
-                converged=ROUGHLY_CONVERGED,
-            )
-        ]
+        extended = _with_one_more(weighting, before, leads, effects, by_itself)
         progress(0.6 + 0.4 * len(chosen) / MOST_CAUSES)
         fits += extended
         frontier = sorted(extended, key=lambda fit: fit.refit.held_out_cost)
@@ -163,9 +150,29 @@ def search_effects(
     return chosen, fits
 
 
+def _with_one_more(
+    weighting: Weighting, best: Refit, leads: Sequence[EffectFit], effects: Sequence[str], by_itself: Mapping[str, Refit]
+) -> list[EffectFit]:
+    """Refit each of ``leads``, of which ``best`` is the refit of the first, with one effect more."""
+    refitted = [best, *(refit_on(weighting, lead.refit) for lead in leads[1:])]
+    return [
+        fit
+        for lead, refit_of_lead in zip(leads, refitted, strict=True)
+        for fit in refit_with_effects(
+            weighting,
+            LinearisedRefit.around(weighting, refit_of_lead),
+            [effect for effect in effects if effect not in lead.effects],
+            BEST_SCORES,
+            by_itself,
+            present=lead.effects,
+            converged=ROUGHLY_CONVERGED,
+        )
+    ]
+
+
 def refit_with_effects(
     weighting: Weighting,
-    base: BaseFit,
+    base: LinearisedRefit,
     effects: Sequence[str],
     most: int,
     by_itself: Mapping[str, Refit] | None = None,
@@ -179,7 +186,7 @@ def refit_with_effects(
     Parameters
     ----------
     weighting : Weighting
-    base : BaseFit
+    base : LinearisedRefit
         May contain the effects ``present`` already.
     effects : sequence of str
         Ids of the candidates.
@@ -213,7 +220,7 @@ def refit_with_effects(
     return in_threads(fit, ranked)
 
 
-def _sensitivity(problem: WeightedProblem, start: Array, base: BaseFit) -> Array:
+def _sensitivity(problem: WeightedProblem, start: Array, base: LinearisedRefit) -> Array:
     """Return derivatives (samples, free) with which a fit begins: exact for new parameters, otherwise those of the base."""
     names, known = problem.model.names, base.refit.problem
     of_base = {known.model.names[index]: place for place, index in enumerate(known.free)}
@@ -243,7 +250,7 @@ def _better_start(
     return problem, start
 
 
-def score_effects(weighting: Weighting, base: BaseFit, effects: Sequence[str]) -> list[EffectScore]:
+def score_effects(weighting: Weighting, base: LinearisedRefit, effects: Sequence[str]) -> list[EffectScore]:
     """Score each effect around the base model; an effect that the model contains already scores zero."""
 
     def score(effect: str) -> EffectScore:
@@ -255,7 +262,7 @@ def score_effects(weighting: Weighting, base: BaseFit, effects: Sequence[str]) -
     return in_threads(score, effects)
 
 
-def score_effect(problem: WeightedProblem, base: BaseFit, effect: Effect) -> EffectScore:
+def score_effect(problem: WeightedProblem, base: LinearisedRefit, effect: Effect) -> EffectScore:
     """Estimate how much of the base fit's residual an effect can remove.
 
     Each start value of the effect (`start_values`) changes the force. What the model's own parameters can imitate of the
@@ -291,7 +298,7 @@ def score_effect(problem: WeightedProblem, base: BaseFit, effect: Effect) -> Eff
 
 def _start_of_fit(
     problem: WeightedProblem,
-    base: BaseFit,
+    base: LinearisedRefit,
     effect: Effect,
     places: Sequence[int],
     neutral: Array,

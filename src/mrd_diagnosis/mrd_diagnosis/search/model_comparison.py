@@ -7,9 +7,10 @@ from typing import Self
 
 import numpy as np
 
-from mrd_diagnosis.fitting.base_fit import BaseFit, with_effect, without_effect
+from mrd_diagnosis.fitting.base_fit import LinearisedRefit, with_effect, without_effect
 from mrd_diagnosis.fitting.refit import CONVERGED, Refit, refit, refit_on
-from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, usual_run_scatter
+from mrd_diagnosis.fitting.run_scatter import estimate_run_scatter
+from mrd_diagnosis.fitting.weighting import Weighting
 from mrd_diagnosis.noise.noise_model import estimate_noise
 from mrd_diagnosis.recordings.limitations import contains
 from mrd_diagnosis.search.effect_search import EffectFit, is_improvement, refit_with_effects
@@ -18,10 +19,6 @@ from mrd_sim.effects import EFFECTS
 
 MOST_ALTERNATIVES = 4
 """Effects that are fitted in the place of each cause, besides those that look like it."""
-
-LEAST_RUN_SCATTER, LARGEST_RUN_SCATTER = RunScatter(1e-3, 1e-4), RunScatter(0.04, 0.02)
-"""Least scatter of the runs of any bench, and the largest that is still attributed to the bench and not to physics; offsets
-are shares of half the span of the force."""
 
 NO_EFFECT = ""
 """Name of the alternative in which nothing takes the place of an effect."""
@@ -165,34 +162,9 @@ def refit_in_its_place(
     weighting: Weighting, without: Refit, others: Sequence[str], converged: float = CONVERGED
 ) -> dict[str, Refit]:
     """Return the refits of a model ``without`` an effect with each of the ``others`` in its place, by name."""
-    base = BaseFit.linearise(weighting, without)
+    base = LinearisedRefit.around(weighting, without)
     fits = refit_with_effects(weighting, base, others, len(others), converged=converged)
     return {fit.effects[-1]: fit.refit for fit in fits}
-
-
-def estimate_run_scatter(refitted: Refit) -> RunScatter:
-    """Estimate the scatter of gain and offset of runs by expectation maximisation from the errors that a refit leaves."""
-    problem = refitted.problem
-    known = []
-    for index, block in enumerate(problem.blocks):
-        whitening = problem.whitenings[index]
-        columns = whitening.nuisance[:, :2] * whitening.weight[:, None]
-        error = (problem.modelled(refitted.theta, index) - problem.force[block]) * whitening.weight
-        # A gap is not noise: the larger it is, the less certain are offset and gain of the run.
-        known.append((columns.T @ columns, columns.T @ error, max(1.0, float(np.mean(error**2)))))
-    scales = problem.model.scales
-    usual = usual_run_scatter(scales)
-    variance = np.array([usual.gain**2, usual.offset**2])
-    least, largest = (
-        [limit.gain**2, (limit.offset * scales.force) ** 2] for limit in (LEAST_RUN_SCATTER, LARGEST_RUN_SCATTER)
-    )
-    for _ in range(50):
-        moments = []
-        for matrix, right, chi_square in known:
-            covariance = np.linalg.inv(matrix / chi_square + np.diag(1 / variance))
-            moments.append((covariance @ right / chi_square) ** 2 + np.diag(covariance))
-        variance = np.clip(np.mean(moments, axis=0), least, largest)
-    return RunScatter(float(np.sqrt(variance[0])), float(np.sqrt(variance[1])))
 
 
 def with_effects(weighting: Weighting, refitted: Refit, effects: Sequence[str], values: Mapping[str, float]) -> Refit:

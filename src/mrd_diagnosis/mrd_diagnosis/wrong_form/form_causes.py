@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mrd_diagnosis.closure.closure import closed_fraction_between
 from mrd_diagnosis.decision.explanation import RobustCause
 from mrd_diagnosis.evidence.cause_class import class_of
-from mrd_diagnosis.fitting.base_fit import BaseFit
+from mrd_diagnosis.fitting.base_fit import LinearisedRefit
 from mrd_diagnosis.fitting.null_distribution import NullGains
 from mrd_diagnosis.fitting.refit import CONVERGED, Refit
 from mrd_diagnosis.fitting.statistics import model_probabilities
@@ -100,7 +100,7 @@ def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effect
         remaining = [effect for effect in effects if effect not in best.effects]
         fits = refit_with_effects(
             weighting,
-            BaseFit.linearise(weighting, best),
+            LinearisedRefit.around(weighting, best),
             remaining,
             len(remaining),
             present=best.effects,

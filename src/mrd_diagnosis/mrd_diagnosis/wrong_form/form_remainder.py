@@ -15,12 +15,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.fitting.base_fit import BaseFit, with_effect
+from mrd_diagnosis.fitting.base_fit import LinearisedRefit, with_effect
 from mrd_diagnosis.fitting.refit import Refit, refit_on
+from mrd_diagnosis.fitting.residual_regression import fading_memory
 from mrd_diagnosis.fitting.weighting import Weighting
 from mrd_diagnosis.search.effect_search import start_values
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_diagnosis.wrong_form.flexible_remainder import fading_memory
 from mrd_identification.parallel import in_threads
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import Recording
@@ -145,7 +145,7 @@ def form_effects(weighting: Weighting, base: Refit, effects: Sequence[str]) -> l
     """
     alone = replace(weighting, remainder=())
     freest = _extended(alone, _columns(weighting, base, form_columns(weighting.recordings)), SCALES[-1])
-    spaces = [(space, BaseFit.linearise(space, base)) for space in (alone, freest)]
+    spaces = [(space, LinearisedRefit.around(space, base)) for space in (alone, freest)]
 
     def unabsorbed(effect: str) -> list[float]:
         """Return the energy of the effect's change of the force that the model leaves, without and with the remainder."""

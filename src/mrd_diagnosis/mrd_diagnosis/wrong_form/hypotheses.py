@@ -15,7 +15,7 @@ from mrd_diagnosis.decision.presence import presence_of, with_presence
 from mrd_diagnosis.diagnosis import Member, ParameterEstimate, WeighedEffect
 from mrd_diagnosis.evidence.cause_class import class_of
 from mrd_diagnosis.evidence.evidence import FitsOfEffect, measure_evidence
-from mrd_diagnosis.fitting.base_fit import BaseFit
+from mrd_diagnosis.fitting.base_fit import LinearisedRefit
 from mrd_diagnosis.fitting.refit import Refit, refit_on
 from mrd_diagnosis.fitting.statistics import effect_parameters, model_probabilities
 from mrd_diagnosis.fitting.weighting import Weighting
@@ -59,6 +59,11 @@ class Table:
         for entry in self.hypotheses:
             refits.setdefault(entry.form, {})[entry.effect] = entry.refit
         return tuple(refits.values())
+
+    @property
+    def lead(self) -> str:
+        """The most probable effect around the first form."""
+        return next(name for name in self.probabilities if name in self.by_form[0] and name != NO_EFFECT)
 
     def members(self, effect: str) -> tuple[Member, ...]:
         """Return the class of an effect, around the first form."""
@@ -134,19 +139,12 @@ def weigh_effects(
     tables: dict[str, Table] = {}
     for done, effect in enumerate(chosen, 1):
         others = [other for other in present if other != effect]
-        # A form that contains the effect cannot lack it.
-        lacking = [form for form in forms if not contains(form.problem.model, effect)]
-        bases = [with_effects(weighting, form, others, form.values | values) for form in lacking]
         free = [name for name in ranked if name not in others]
-        alike = [name for name in free if name in EFFECTS[effect].confused_with]
-        refits = fit_table(weighting, bases, list(dict.fromkeys([effect, *free[:MOST_ALTERNATIVES], *alike])))
-        probabilities = table_probabilities(refits, rng)
+        table = _table_of_place(weighting, forms, effect, others, free, values, rng)
         progress(0.5 + 0.5 * done / len(chosen))
-        around_first = {entry.effect: entry.refit for entry in refits if entry.form == refits[0].form}
-        lead = next(name for name in probabilities if name in around_first and name != NO_EFFECT)
-        present = [*others, lead]
-        values |= around_first[lead].values
-        tables[lead] = Table(refits, probabilities)
+        present = [*others, table.lead]
+        values |= table.by_form[0][table.lead].values
+        tables[table.lead] = table
     if not tables:
         return []
     complete = with_effects(weighting, forms[0], present, values)
@@ -170,6 +168,26 @@ def weigh_effects(
         )
         for lead, table in tables.items()
     ]
+
+
+def _table_of_place(
+    weighting: Weighting,
+    forms: Sequence[Refit],
+    effect: str,
+    others: Sequence[str],
+    free: Sequence[str],
+    values: dict[str, float],
+    rng: np.random.Generator,
+) -> Table:
+    """Fit the hypotheses of the place of an effect beside others: with it, and with the best and the most similar of those
+    that are ``free``.
+    """
+    # A form that contains the effect cannot lack it.
+    lacking = [form for form in forms if not contains(form.problem.model, effect)]
+    bases = [with_effects(weighting, form, others, form.values | values) for form in lacking]
+    alike = [name for name in free if name in EFFECTS[effect].confused_with]
+    hypotheses = fit_table(weighting, bases, list(dict.fromkeys([effect, *free[:MOST_ALTERNATIVES], *alike])))
+    return Table(hypotheses, table_probabilities(hypotheses, rng))
 
 
 def _weigh(fits: FitsOfEffect) -> LeadingEffect:
@@ -198,7 +216,7 @@ def _search(
         remaining = [effect for effect in effects if effect not in chosen and not contains(form.problem.model, effect)]
         fits = refit_with_effects(
             weighting,
-            BaseFit.linearise(weighting, best),
+            LinearisedRefit.around(weighting, best),
             remaining,
             BEST_SCORES if chosen else len(remaining),
             {fit.effects[0]: fit.refit for fit in singles} if chosen else None,

@@ -66,7 +66,7 @@ def explain_in_part(
     contained = [effect for effect in effects if contains(form.problem.model, effect)]
     tried = [effect for effect in effects if effect not in (*lacking, *contained)]
     weighed = weigh_effects(weighting, forms, tried, rng, lambda fraction: progress(0.8 * fraction))
-    selected = [entry for entry in weighed if entry.presence >= THRESHOLDS.named_support]
+    selected = [entry for entry in weighed if entry.presence >= THRESHOLDS.least_probability]
     causes = {found.effect: _robust_cause(found, comparison, null_gains, rng) for found in selected}
     values = alone.values | (selected[-1].fitted.values if selected else {})
     explained = with_effects(weighting, form, list(causes), values)

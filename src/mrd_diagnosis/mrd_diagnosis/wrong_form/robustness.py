@@ -18,7 +18,7 @@ def is_robust(probability: float, without: Refit, with_effect: Refit) -> bool:
     diverged in one of the folds.
     """
     gains = without.held_out_squares - with_effect.held_out_squares
-    return bool(probability >= THRESHOLDS.named_support and gains.sum() > max(gains.max(), 0.0))
+    return bool(probability >= THRESHOLDS.least_probability and gains.sum() > max(gains.max(), 0.0))
 
 
 def probabilities_in_place(refits: Mapping[str, Refit], support: float, rng: np.random.Generator) -> dict[str, float]:
@@ -30,7 +30,7 @@ def probabilities_in_place(refits: Mapping[str, Refit], support: float, rng: np.
 def leads(effect: str, probabilities: Mapping[str, float], members: Sequence[Member]) -> bool:
     """Whether an effect is the most probable one in its place, and it or its class likelier than all others together."""
     of_class = sum(member.probability for member in members)
-    likely = of_class >= THRESHOLDS.named_support * sum(probabilities.values())
+    likely = of_class >= THRESHOLDS.least_probability * sum(probabilities.values())
     return max(probabilities, key=probabilities.__getitem__) == effect and likely
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrd_diagnosis.wrong_form.flexible_remainder import explainable_fraction
+from mrd_diagnosis.fitting.residual_regression import explainable_fraction
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import prepare_recording

@@ -1,4 +1,4 @@
-"""Flexible model of the residual: the share of the gap that it predicts on unseen runs can be explained at least."""
+"""Regression of the residual on a flexible model: the share of the gap that it predicts on unseen runs can be explained."""
 
 import itertools
 from collections.abc import Sequence
