@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 COVERAGE = 0.9
 """Share of the plausible sets that hold the true effect, where their class is right."""
 
+LEAST_SUM = 1e-300
+"""Sum of probabilities that stands for none, so that all quotients are finite."""
+
 FILE = Path(__file__).with_name("presence.json")
 
 
@@ -82,7 +85,7 @@ def with_presence(table: Mapping[str, float], members: Sequence[str], presence: 
     """
     of_class = sum(table[name] for name in members)
     others = {name: probability for name, probability in table.items() if name and name not in members}
-    left = min(1.0, (1.0 - presence) / max(sum(others.values()), 1e-300))
+    left = min(1.0, (1.0 - presence) / max(sum(others.values()), LEAST_SUM))
     shares = {name: presence * table[name] / of_class if of_class > 0.0 else presence / len(members) for name in members}
     return shares | {name: left * probability for name, probability in others.items()}
 
@@ -102,7 +105,7 @@ def plausible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:
 def cumulative_shares(probabilities: Mapping[str, float]) -> Array:
     """Return the share (effects,) of the probability that the likeliest effects have together: one, two, ..."""
     ordered = np.sort(list(probabilities.values()))[::-1]
-    return np.asarray(np.cumsum(ordered) / max(ordered.sum(), 1e-300))
+    return np.asarray(np.cumsum(ordered) / max(ordered.sum(), LEAST_SUM))
 
 
 def markdown_table() -> str:

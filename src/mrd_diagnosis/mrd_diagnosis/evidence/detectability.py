@@ -32,6 +32,13 @@ REDUCED_NOISE = 0.01
 """Share of the noise in the recordings on which effects act; with all of it, effects would act on the noise as well."""
 
 
+LEAST_ENERGY = 1e-6
+"""Share of the energy that is needed which stands for none, so that its logarithm is finite."""
+
+SIZE_TOLERANCE = 0.01
+"""Relative error of the smallest detectable size."""
+
+
 @dataclass(frozen=True)
 class Detectability:
     """Detectability of one effect in given recordings.
@@ -150,12 +157,12 @@ def _detectability(weighting: Weighting, base_fit: LinearisedRefit, effect: Effe
 
     def margin(log_share: float) -> float:
         unabsorbed, _ = unabsorbed_change(log_share)
-        return float(np.log(max(float(unabsorbed @ unabsorbed), 1e-6 * needed) / needed))
+        return float(np.log(max(float(unabsorbed @ unabsorbed), LEAST_ENERGY * needed) / needed))
 
     log_share, lowest = 0.0, float(np.log(SMALLEST_SHARE))
     detectable = margin(log_share) > 0.0
     if detectable:
-        log_share = float(brentq(margin, lowest, log_share, xtol=0.01)) if margin(lowest) < 0.0 else lowest
+        log_share = float(brentq(margin, lowest, log_share, xtol=SIZE_TOLERANCE)) if margin(lowest) < 0.0 else lowest
     unabsorbed, share = unabsorbed_change(log_share)
     evidence = np.array([float(unabsorbed[block] @ unabsorbed[block]) for block in problem.blocks])
     return Detectability(

@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 LARGEST_RATIO = 2.0
 """Ratios are counted up to this: beyond, a larger one says nothing more."""
 
+LEAST_INFORMATION = 1e-12
+"""Share of the information of the most informative run that stands for none, so that all quotients are finite."""
+
 LEAST_COST = 1e-300
 """Cost that stands for none, so that all quotients are finite."""
 
@@ -200,7 +203,7 @@ def drift_over_runs(fitted: Refit, effect: str) -> float:
     gradients = np.array([fitted.gradients[runs == run, place].sum() for run in numbers])
     if size == 0.0 or information.sum() <= 0.0:
         return LARGEST_RATIO
-    steps = -gradients / np.maximum(information, 1e-12 * information.max())
+    steps = -gradients / np.maximum(information, LEAST_INFORMATION * information.max())
     weights = information / information.sum()
     deviation = np.sqrt(weights @ (steps - weights @ steps) ** 2)
     return float(min(deviation / abs(size), LARGEST_RATIO))

@@ -21,6 +21,11 @@ BOOTSTRAP_SAMPLES = 400
 MOST_HELD_OUT = 10.0
 """Ratio of the costs of a fold, held out and fitted, above which the fit without the fold diverged."""
 
+LEAST_DEGREES = 5
+"""Folds, beyond the parameters, from which their scatter tells how uncertain these are."""
+
+MOST_WITHOUT_GAP = 0.1
+"""Share of the bootstrap samples that may have no gap before the share of it has no interval."""
 
 LEAST_GAP = 1e-12
 """White squares that nothing tells from none. Explanations that close nothing, or make the error larger, count as this, so
@@ -97,7 +102,7 @@ def effect_parameters(refitted: Refit) -> dict[str, ParameterEstimate]:
     inverse = scaled_inverse(refitted.information, 1e-12)
     degrees = len(refitted.gradients) - len(inverse)
     deviation = 1.96 * np.sqrt(error_dispersion(problem.residuals(refitted.theta)) * np.diag(inverse))
-    if degrees > 4:
+    if degrees >= LEAST_DEGREES:
         root = inverse @ refitted.gradients.T * np.sqrt(len(refitted.gradients) / degrees)
         deviation = np.maximum(deviation, stdtrit(degrees, 0.975) * np.linalg.norm(root, axis=1))
     following = {effect.id for effect in problem.model.effects if effect.follows_force}
@@ -150,6 +155,6 @@ def closed_fraction(before: Array, after: Array, noise: Array, draws: Array) -> 
 
     value = float(share(before.sum(keepdims=True), after.sum(keepdims=True), noise.sum(keepdims=True))[0])
     drawn = share(draws @ before, draws @ after, draws @ noise)
-    if np.isnan(drawn).mean() > 0.1:
+    if np.isnan(drawn).mean() > MOST_WITHOUT_GAP:
         return Interval(value)
     return Interval(value, *map(float, np.nanquantile(drawn, (0.025, 0.975))))

@@ -11,6 +11,21 @@ from mrd_runs import Run
 
 Array = NDArray[np.float64]
 
+LEAST_EXCITATION = 1e-4
+"""Mean square of the speed, over that of the strongest line, above which a line is excited."""
+
+ABOVE_SCATTER = 30.0
+"""Mean square of the motion, over that of its scatter, above which a line is excited and not noise."""
+
+MOST_EVEN = 0.1
+"""Share of the excitation at even lines up to which a multisine counts as odd."""
+
+HARMONICS = 3
+"""Multiple of the highest excited line up to which distortion counts."""
+
+LEAST_SAMPLES = 8
+"""Samples of a period, at least."""
+
 
 @dataclass(frozen=True)
 class Distortion:
@@ -57,10 +72,10 @@ def distortion(run: Run, period: float) -> Distortion:
     """
     periods = int((run.duration + 1.5 / run.rate) / period)
     samples = round(period * run.rate)
-    if periods < 2 or samples < 8:
+    if periods < 2 or samples < LEAST_SAMPLES:
         raise InputError(
             f"run {run.name}: {run.duration:.4g} s at {run.rate:.4g} Hz hold {periods} periods of {period:.4g} s, "
-            "expected at least two, of 8 samples or more"
+            f"expected at least two, of {LEAST_SAMPLES} samples or more"
         )
     times = run.time[-1] + 1 / run.rate - period * periods + np.arange(periods * samples) * (period / samples)
 
@@ -73,14 +88,18 @@ def distortion(run: Run, period: float) -> Distortion:
     motion, motion_scatter = lines(run.position)
     line = np.arange(len(motion))
     speed = motion * line**2
-    excited = (speed > 1e-4 * speed[1:].max()) & (motion > 30 * np.mean(motion_scatter) / periods) & (line > 0)
-    if not excited.any() or np.sum(speed[excited & (line % 2 == 0)]) > 0.1 * np.sum(speed[excited]):
+    excited = (
+        (speed > LEAST_EXCITATION * speed[1:].max())
+        & (motion > ABOVE_SCATTER * np.mean(motion_scatter) / periods)
+        & (line > 0)
+    )
+    if not excited.any() or np.sum(speed[excited & (line % 2 == 0)]) > MOST_EVEN * np.sum(speed[excited]):
         raise InputError(
             f"run {run.name}: found a motion with lines other than odd multiples of 1/{period:.4g} s, "
             "expected an odd multisine with this period_s"
         )
     response, scatter = lines(run.force)
-    considered = (line > 0) & (line <= min(3 * int(line[excited].max()), (samples - 1) // 2))
+    considered = (line > 0) & (line <= min(HARMONICS * int(line[excited].max()), (samples - 1) // 2))
     without_noise = response - scatter / periods
     even, odd = (considered & ~excited & (line % 2 == parity) for parity in (0, 1))
     return Distortion(
