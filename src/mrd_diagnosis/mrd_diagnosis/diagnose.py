@@ -87,7 +87,8 @@ def diagnose(
     bench : GeneratorSettings, optional
         Limits of the bench that an advised experiment must not exceed; by default, those of the shipped bench.
     seed : int
-        The same seed and input give the same result.
+        The same seed and input give the same result but for rounding. Where a simulator of the user's own answers in the
+        loop, rounding can grow to a small part of the interval of a size.
     progress : callable
         Called with the current step and the fraction that is done. An exception that it raises ends the work.
 

@@ -89,7 +89,7 @@ def work() -> None:
         default=os.environ.get("MRD_BENCH"),
         help="bench.yaml whose limits an advised experiment must not exceed; default: $MRD_BENCH",
     )
-    parser.add_argument("--seed", type=int, default=0, help="same seed, same result (default %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="same seed, same result but for rounding (default %(default)s)")
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for the reports")
     arguments = parser.parse_args()
     if arguments.seed < 0:
