@@ -38,7 +38,8 @@ LEGEND_ROW = 18.0
 """Height of a row of the legend in pixels."""
 COLORS = ("#00798c", "#d1495b", "#edae49", "#66a182", "#8d6a9f", "#2e4057")
 
-_DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
+LINE_STYLES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
+"""Line styles of Matplotlib by the dashes of Plotly."""
 _SYMBOLS = {
     "circle": "o",
     "circle-open": "o",
@@ -257,7 +258,10 @@ class _Drawing:
                 return
         self._error_bars(panel, trace, x, y, colour)
         width = line.get("width", 2.0) if "lines" in mode else 0.0
-        style: dict[str, Any] = {"linewidth": width, "linestyle": _DASHES[line.get("dash", "solid")] if width else "none"}
+        style: dict[str, Any] = {
+            "linewidth": width,
+            "linestyle": LINE_STYLES[line.get("dash", "solid")] if width else "none",
+        }
         style["drawstyle"] = "steps-post" if line.get("shape") == "hv" else "default"
         (drawn,) = panel.axes.plot(x, y, color=colour, solid_joinstyle="round", **style)
         handle = drawn
@@ -420,7 +424,7 @@ class _Drawing:
     def _line_across(self, shape: dict[str, Any]) -> None:
         panel = self.panels.get((_reference(shape, "x"), _reference(shape, "y"))) or next(iter(self.panels.values()))
         axes, line = panel.axes, shape.get("line") or {}
-        style = {"color": _colour(line.get("color", SOFT)), "linestyle": _DASHES[line.get("dash", "solid")]}
+        style = {"color": _colour(line.get("color", SOFT)), "linestyle": LINE_STYLES[line.get("dash", "solid")]}
         if shape["x0"] == shape["x1"]:
             place = shape["x0"]
             axes.axvline(np.datetime64(place) if isinstance(place, str) else place, **style)

@@ -13,7 +13,7 @@ import jinja2
 import jinja2.sandbox
 
 from mrd_base import InputError
-from mrd_base.drawing import draw
+from mrd_base.drawing import LINE_STYLES, draw
 from mrd_base.text_file import read_text_file
 from mrd_characterisation.sheet import Sheet
 
@@ -75,13 +75,13 @@ def write_sheet(sheet: Sheet, folder: str | Path, *, paper: str = "a4", template
         source.write_bytes(content)
         if _print_by_browser(source, printed):
             document = printed.read_bytes()
-            for rows in FEWER_ROWS:
-                if _pages(document) == 1 or rows >= len(sheet.rows):
-                    continue
+            fewer = [] if _pages(document) == 1 else [rows for rows in FEWER_ROWS if rows < len(sheet.rows)]
+            for rows in fewer:
                 shorter = render_sheet(sheet.shortened(rows), paper, template).encode()
                 source.write_bytes(shorter)
                 if _print_by_browser(source, printed) and _pages(printed.read_bytes()) == 1:
                     content, document = shorter, printed.read_bytes()
+                    break
         else:
             _print_by_matplotlib(sheet, paper, printed)
             document = printed.read_bytes()
@@ -216,7 +216,7 @@ def draw_sheet(sheet: Sheet, paper: str) -> Any:
 
 def _draw_plot(axes: Any, plot: Any) -> None:
     for trace in plot.data:
-        dash = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}[trace.line.dash or "solid"]
+        dash = LINE_STYLES[trace.line.dash or "solid"]
         marker = "o" if "markers" in trace.mode else ""
         label = None if trace.showlegend is False else trace.name
         style = {"color": trace.line.color, "marker": marker, "markersize": 3, "linewidth": 1.2}
