@@ -1,14 +1,15 @@
 """A plant on the bench: what the bench commands, and how the plant is measured."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mrd_runs import Run
 from mrd_trials.excitation import FRESH_RUNS, commands_of_runs, read_recorded_dampers, replay
-from mrd_trials.reference_fit import ReferenceFit
+from mrd_trials.reference_fit import ReferenceFit, offsets_and_gains, orthonormal_basis
 from mrd_trials.start import begin_later
 from mrd_trials.trial_design import PlantDesign
 from mrd_trials.truth import (
@@ -22,6 +23,8 @@ from mrd_trials.truth import (
     draw_scatter,
     record,
 )
+
+Array = NDArray[np.float64]
 
 Effects = Mapping[str, Mapping[str, float]]
 """Parameters of effects by id."""
@@ -88,16 +91,31 @@ class BenchSession:
         """Record all runs."""
         return self._as_runs(self.record(effects))
 
-    def simulated_runs(self, effects: Effects) -> list[Run]:
-        """Return what a simulator of the damper's own form, without effects, answers to the motion of the given runs."""
+    def simulated_runs(self, given: Sequence[Run]) -> list[Run]:
+        """Return what a simulator of the damper's own form, without effects, answers to the motion of given runs."""
         exact = replace(self.instruments.without_noise(), gain_scatter=0.0, offset_scatter=0.0)
-        given = self.given_runs(effects)
         readings = record(self.plant, [replay(run) for run in given], exact, np.random.default_rng(self.noise_seed))
         return [as_run(run.name, answer) for run, answer in zip(given, readings, strict=True)]
 
     def strength_of(self, reference: ReferenceFit, effects: Effects) -> float:
         """Return the signal to floor of effects."""
         return reference.signal_to_floor(self.given_runs(effects))
+
+    def strength_beside_simulator(self) -> Callable[[Effects], float]:
+        """Return what gives the signal to floor of effects beside a simulator of the damper's own form.
+
+        Nobody refits the simulator, so the floor is the noise of the bench; an offset and a gain of each run are free.
+        """
+        answer, errors = self._beside_simulator({})
+        nuisance = orthonormal_basis(offsets_and_gains(answer))
+        floor = errors - nuisance @ (nuisance.T @ errors)
+
+        def strength_of(effects: Effects) -> float:
+            change = self._beside_simulator(effects)[1] - errors
+            change -= nuisance @ (nuisance.T @ change)
+            return float(np.mean(change**2) / np.mean(floor**2))
+
+        return strength_of
 
     @property
     def formulas(self) -> Mapping[str, str]:
@@ -123,6 +141,13 @@ class BenchSession:
     def scatter(self) -> list[RunDeviation]:
         """Scatter of every run."""
         return draw_scatter(self.instruments, np.random.default_rng(self.noise_seed), len(self.commands))
+
+    def _beside_simulator(self, effects: Effects) -> tuple[list[Array], Array]:
+        """Return the simulator's force at the samples of each given run, and its errors (samples,)."""
+        given = self.given_runs(effects)
+        pairs = zip(given, self.simulated_runs(given), strict=True)
+        answer = [np.interp(run.time, simulated.time, simulated.force) for run, simulated in pairs]
+        return answer, np.concatenate([force - run.force for force, run in zip(answer, given, strict=True)])
 
     def _as_runs(self, readings: Sequence[Readings]) -> list[Run]:
         runs = [as_run(name, run) for name, run in zip(self.names, readings, strict=False)]

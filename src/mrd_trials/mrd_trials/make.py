@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -154,7 +155,7 @@ def make_plant(
     )
     compared: Sequence[Run] = session.reference
     if design.tier.excitation == BLACK_BOX and isinstance(session, BenchSession):
-        compared = session.simulated_runs(effects)
+        compared = session.simulated_runs(session.given_runs(effects))
     return truth, [size.scaled(run) for run in session.all_runs(effects)], [size.scaled(run) for run in compared]
 
 
@@ -174,9 +175,14 @@ def session_of(design: PlantDesign, recorded: str = "") -> BenchSession | Record
 def _draw_effects(design: PlantDesign, session: BenchSession | RecordedSession) -> tuple[Effects, float]:
     """Draw the effects of a design, each as strong as its target asks; return them and their joint strength."""
     is_altered = design.tier.excitation in ALTERED_TIERS
-    rng = np.random.default_rng(session.fit_seed)
-    # A gain of its own for each recording would hide an error of the current, which is constant in it.
-    reference = ReferenceFit.from_runs(design.model, session.given_runs({}), rng, gains=not is_altered)
+    if design.tier.excitation == BLACK_BOX and isinstance(session, BenchSession):
+        strength_of: Callable[[Effects], float] = session.strength_beside_simulator()
+    else:
+        rng = np.random.default_rng(session.fit_seed)
+        # A gain of its own for each recording would hide an error of the current, which is constant in it.
+        strength_of = partial(
+            session.strength_of, ReferenceFit.from_runs(design.model, session.given_runs({}), rng, gains=not is_altered)
+        )
 
     def draw(place: int, effect: str, strength: float) -> Effects:
         formula = EFFECTS[effect].formula(session.formulas[effect])
@@ -189,10 +195,10 @@ def _draw_effects(design: PlantDesign, session: BenchSession | RecordedSession) 
         for effect in itertools.chain([wanted], substitutes):
 
             def signal_at(strength: float, place: int = place, effect: str = effect) -> float:
-                return session.strength_of(reference, draw(place, effect, strength))
+                return strength_of(draw(place, effect, strength))
 
             strength, signal = find_strength(target, signal_at, STRONGEST)
             if signal > least:
                 break
         effects = {**effects, **draw(place, effect, strength)}
-    return effects, session.strength_of(reference, effects)
+    return effects, strength_of(effects)

@@ -52,11 +52,8 @@ class ReferenceFit:
         """Fit a model to runs of a plant without effects; without ``gains``, only the offsets of the runs are free."""
         recordings = in_threads(prepare_recording, runs)
         problem, theta = fit_model(model_id, recordings, rng)
-        forces = consecutive_forces(problem.model, theta, recordings)
-        offsets_and_gains = np.zeros((len(problem.force), 2 * len(recordings)))
-        for place, (block, force) in enumerate(zip(problem.blocks, forces, strict=True)):
-            offsets_and_gains[block, 2 * place], offsets_and_gains[block, 2 * place + 1] = 1.0, force
-        scatter = offsets_and_gains if gains else offsets_and_gains[:, ::2]
+        free = offsets_and_gains(consecutive_forces(problem.model, theta, recordings))
+        scatter = free if gains else free[:, ::2]
         nuisance = orthonormal_basis(np.hstack([problem.jacobian(problem.unit(theta)), scatter]))
         errors = problem.errors(theta)
         counted = tuple(recording.counted for recording in recordings)
@@ -97,6 +94,16 @@ def fit_model(model_id: str, recordings: Sequence[Recording], rng: np.random.Gen
     best = np.argsort(norms[:, 0], kind="stable")[: 1 + STARTS // 20]
     brief = [fit_least_squares(problem, theta, 15) for theta in thetas[best]]
     return problem, fit_least_squares(problem, min(brief, key=lambda fit: fit[1])[0], 100)[0]
+
+
+def offsets_and_gains(forces: Sequence[Array]) -> Array:
+    """Return what an offset and a gain of each run change in the forces (samples, 2 runs), run after run."""
+    ends = np.cumsum([0, *map(len, forces)])
+    columns = np.zeros((ends[-1], 2 * len(forces)))
+    for place, force in enumerate(forces):
+        block = slice(ends[place], ends[place + 1])
+        columns[block, 2 * place], columns[block, 2 * place + 1] = 1.0, force
+    return columns
 
 
 def orthonormal_basis(columns: Array) -> Array:
