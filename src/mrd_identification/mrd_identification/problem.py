@@ -27,6 +27,9 @@ CONSTANT = 1e-12
 DIFFERENCE = 1e-5
 """Share of its range by which a parameter is moved for a difference."""
 
+LARGEST_DERIVATIVE = 1e100
+"""N. A larger one has diverged: its square may not be finite."""
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -167,7 +170,7 @@ class Problem:
     def jacobian(self, unit: Array, indices: Sequence[int] | NDArray[np.intp] | None = None) -> Array:
         """Return the exact derivatives (samples, indices) of the residuals with respect to unit coordinates.
 
-        All free parameters, or those at the places ``indices`` among them. A derivative that is not finite, as may be at the
+        All free parameters, or those at the places ``indices`` among them. A derivative that has diverged, as may be at the
         sharpest yield, is a difference of forces.
         """
         theta = self.theta(unit)
@@ -190,7 +193,7 @@ class Problem:
             for place, column in zip(places, columns.T, strict=True)
         }
         for place, column in of_force.items():
-            if not np.isfinite(column).all():
+            if not np.abs(column).max(initial=0.0) < LARGEST_DERIVATIVE:  # holds for NaN as well
                 of_force[place] = self._difference(unit, place)
         for slope, value in slopes.items():
             of_force[slope] = of_force[value] * self._constant_current * (scale[slope] / scale[value])
