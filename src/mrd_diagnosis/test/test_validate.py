@@ -109,6 +109,14 @@ def files(tmp_path):
     return str(plant), recorded
 
 
+def test_a_run_to_which_the_damper_was_fitted_is_no_proof(damper):
+    fitted = [run("a", 1), run("b", 2)]
+    found = validate(damper, [fitted[1], run("c", 3)], fitted=fitted)
+    assert [validated.was_fitted for validated in found.runs] == [True, False]
+    assert "The damper was fitted to b; that error says nothing about new runs." in validation_sentence(found)
+    assert "was fitted to all of them" in validation_sentence(validate(damper, fitted, fitted=fitted))
+
+
 @pytest.mark.parametrize(("limit", "status"), [("20", None), ("0.1", 1)])
 def test_the_tool_passes_or_fails_by_its_limit(files, tmp_path, monkeypatch, capsys, limit, status):
     plant, recorded = files

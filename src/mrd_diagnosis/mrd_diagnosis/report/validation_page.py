@@ -35,6 +35,9 @@ def validation_sentence(validation: Validation) -> str:
     worst = max(runs, key=lambda run: run.result.metrics.nrmse)
     if len(runs) > 1:
         sentences.append(f"The largest is that of {worst.result.run.name}, {format_error(worst.result.metrics.nrmse)}.")
+    if fitted := [run.result.run.name for run in runs if run.was_fitted]:
+        which = "all of them" if len(fitted) == len(runs) > 1 else ", ".join(fitted)
+        sentences.append(f"The damper was fitted to {which}; that error says nothing about new runs.")
     if beyond := [run for run in runs if run.exceeds]:
         names = ", ".join(f"{run.result.run.name} ({run.exceeds})" for run in beyond)
         sentences.append(f"Beyond the runs to which it was fitted: {names}.")
@@ -100,6 +103,7 @@ def to_json(validation: Validation) -> dict[str, Any]:
                 "offset_N": run.offset,
                 "gain": run.gain,
                 "exceeds": run.exceeds if validation.fitted_known else None,
+                "was_fitted": run.was_fitted if validation.fitted_known else None,
             }
             for run in validation.runs
         ],
@@ -117,5 +121,5 @@ def _row(run: ValidatedRun) -> tuple[str, ...]:
         format_quantity(metrics.rmse, "N"),
         format_quantity(run.offset, "N") if run.offset else "–",
         f"{100 * run.gain:+.1f} %" if run.gain else "–",
-        run.exceeds or "–",
+        "no, fitted to it" if run.was_fitted else run.exceeds or "–",
     )

@@ -48,6 +48,8 @@ class ValidatedRun:
     exceeds : str
         In what the run exceeds those to which the damper was fitted, such as "stroke and speed"; empty where it does not,
         or where these runs are not known.
+    was_fitted : bool
+        Whether the damper was fitted to this very run, so that its error proves nothing.
     """
 
     result: RunResult
@@ -55,6 +57,7 @@ class ValidatedRun:
     offset: float
     gain: float
     exceeds: str
+    was_fitted: bool = False
 
 
 @dataclass(frozen=True)
@@ -136,7 +139,10 @@ def validate(
     before = in_threads(prepare_recording, fitted)
     results = evaluate_model(model, theta, recordings)
     validated = tuple(
-        _validated(result, of_run, exceeded_ranges(recording, before), offsets, gains)
+        replace(
+            _validated(result, of_run, exceeded_ranges(recording, before), offsets, gains),
+            was_fitted=any(np.array_equal(recording.run.force, run.force) for run in fitted),
+        )
         for result, of_run, recording in zip(results, noise, recordings, strict=True)
     )
     validation = _validation(damper, validated, recordings, noise, fitted_known=bool(fitted))
