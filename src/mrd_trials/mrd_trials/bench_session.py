@@ -26,6 +26,9 @@ from mrd_trials.truth import (
 
 Array = NDArray[np.float64]
 
+PARAMETER_STEP = 1e-3
+"""Relative change of a parameter by which its influence on the force is measured."""
+
 Effects = Mapping[str, Mapping[str, float]]
 """Parameters of effects by id."""
 
@@ -104,14 +107,23 @@ class BenchSession:
     def strength_beside_simulator(self) -> Callable[[Effects], float]:
         """Return what gives the signal to floor of effects beside a simulator of the damper's own form.
 
-        Nobody refits the simulator, so the floor is the noise of the bench; an offset and a gain of each run are free.
+        The floor is the noise of the bench. What the parameters of the form could imitate counts as no signal, nor what an
+        offset and a gain of each run could.
         """
-        answer, errors = self._beside_simulator({})
-        nuisance = orthonormal_basis(offsets_and_gains(answer))
+        given = self.given_runs({})
+        answer = self._answer(given)
+        columns = [offsets_and_gains(answer)]
+        for name, value in self.parameters.items():
+            moved = replace(self.plant, parameters={**self.parameters, name: value * (1.0 + PARAMETER_STEP)})
+            change = np.concatenate(replace(self, plant=moved)._answer(given)) - np.concatenate(answer)
+            columns.append(change[:, None])
+        nuisance = orthonormal_basis(np.hstack(columns))
+        errors = _errors(answer, given)
         floor = errors - nuisance @ (nuisance.T @ errors)
 
         def strength_of(effects: Effects) -> float:
-            change = self._beside_simulator(effects)[1] - errors
+            runs = self.given_runs(effects)
+            change = _errors(self._answer(runs), runs) - errors
             change -= nuisance @ (nuisance.T @ change)
             return float(np.mean(change**2) / np.mean(floor**2))
 
@@ -142,12 +154,10 @@ class BenchSession:
         """Scatter of every run."""
         return draw_scatter(self.instruments, np.random.default_rng(self.noise_seed), len(self.commands))
 
-    def _beside_simulator(self, effects: Effects) -> tuple[list[Array], Array]:
-        """Return the simulator's force at the samples of each given run, and its errors (samples,)."""
-        given = self.given_runs(effects)
+    def _answer(self, given: Sequence[Run]) -> list[Array]:
+        """Return the force of `simulated_runs` at the samples of each given run."""
         pairs = zip(given, self.simulated_runs(given), strict=True)
-        answer = [np.interp(run.time, simulated.time, simulated.force) for run, simulated in pairs]
-        return answer, np.concatenate([force - run.force for force, run in zip(answer, given, strict=True)])
+        return [np.interp(run.time, simulated.time, simulated.force) for run, simulated in pairs]
 
     def _as_runs(self, readings: Sequence[Readings]) -> list[Run]:
         runs = [as_run(name, run) for name, run in zip(self.names, readings, strict=False)]
@@ -156,6 +166,10 @@ class BenchSession:
     def _record(self, commands: Sequence[BenchCommand], effects: Effects) -> list[Readings]:
         plant = replace(self.plant, effects=effects)
         return record(plant, commands, self.instruments, np.random.default_rng(self.noise_seed))
+
+
+def _errors(answer: Sequence[Array], given: Sequence[Run]) -> Array:
+    return np.concatenate([force - run.force for force, run in zip(answer, given, strict=True)])
 
 
 def as_run(name: str, readings: Readings) -> Run:
