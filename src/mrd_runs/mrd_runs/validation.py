@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_base.quantities import ZERO_CELSIUS
 from mrd_base.table import check_columns
+from mrd_runs.missing import check_missing
 from mrd_runs.run import Run
 
 Array = NDArray[np.float64]
@@ -102,6 +103,8 @@ def make_run(
 def check_values(columns: Mapping[str, Array], where: str, place: Callable[[int], str] = "sample {}".format) -> None:
     """Check columns of samples as `make_run` does; raise InputError for the first that is unusable."""
     check_columns(columns, FEWEST_SAMPLES, where, place)
+    for name, values in columns.items():
+        check_missing(values, name, where, place)
     _check_gaps(columns["time_s"], where, place)
     _check_units(columns, where)
 

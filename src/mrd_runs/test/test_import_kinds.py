@@ -330,6 +330,57 @@ def test_a_scale_that_is_not_understood_is_named(imported: Any, tmp_path: Path, 
     assert f"force has the attribute {name} = 0.5" in imported("b.tdms --current 0")
 
 
+@pytest.mark.parametrize("end", ["mat", "h5"])
+def test_a_unit_and_a_scale_beside_a_channel_are_told(imported: Any, tmp_path: Path, end: str) -> None:
+    def written(name: str, **beside: Any) -> None:
+        content = {
+            "time": TIME,
+            "position": 1e3 * position(TIME),
+            "force": 1e-3 * force(TIME),
+            "position_unit": "mm",
+        } | beside
+        if end == "mat":
+            scipy.io.savemat(tmp_path / f"{name}.mat", content)
+            return
+        with h5py.File(tmp_path / f"{name}.h5", "w") as file:
+            for key, value in content.items():
+                file[f"rig/{key}"] = value
+
+    written("units", unit_force="kN", gain=4.0)
+    run = only(imported(f"units.{end} --current 0"))
+    check(run)
+    assert any(note.startswith("gain = 4") for note in run.info["notes"])
+    written("unknown", force_unit="smoots")
+    assert "the force is in smoots, expected N" in imported(f"unknown.{end} --current 0")
+    written("scaled", force_unit="N", force_scale=1e3)
+    assert "force_scale = 1000, which is not applied" in imported(f"scaled.{end} --current 0")
+    check(only(imported(f'scaled.{end} --current 0 --units force="1000 N"')))
+
+
+@pytest.mark.parametrize("number", ["-9999", "-999.25", "1e30", "-32768", "99999"])
+@pytest.mark.parametrize("channel", ["force", "position"])
+def test_a_number_that_stands_for_a_missing_value_is_refused(
+    imported: Any, tmp_path: Path, number: str, channel: str
+) -> None:
+    columns = {"time": TIME, "position": 1e3 * position(TIME), "force": 0.1 * force(TIME), "temperature": 20 + 0 * TIME}
+    rows = [[f"{value:.9g}" for value in row] for row in zip(*columns.values(), strict=True)]
+    header = "time (s),position (mm),force (N),temperature (degC)"
+
+    def written(name: str) -> None:
+        (tmp_path / name).write_text("\n".join([header, *(",".join(row) for row in rows)]))
+
+    rows[50][3] = rows[51][3] = number
+    written("optional.csv")
+    run = only(imported("optional.csv --current 0"))
+    assert run.temperature is None
+    assert "the temperature is left out: 2 of 600 values are no numbers" in run.info["notes"]
+    rows[70][list(columns).index(channel)] = number
+    written("needed.csv")
+    error = imported("needed.csv --current 0")
+    assert f"line 72: {channel} (" in error
+    assert f"is {float(number):.9g}, as in 1 sample, and all others lie between" in error
+
+
 @pytest.mark.parametrize(
     "header", ["Velocity (mm/s),Rebound force (N),Compression force (N)", "Speed [m/s],Force [N]", "v,F"]
 )

@@ -149,6 +149,27 @@ def test_the_rounding_of_whole_milliseconds_is_removed(rate: float, start: int, 
         assert np.std(error) < 0.2e-3
 
 
+@given(
+    rate=st.sampled_from([100, 200, 250, 500, 1000]),
+    hours=st.floats(0.2, 20),
+    digits=st.sampled_from([7, 9]),
+    count=st.integers(60, 2000),
+)
+def test_the_rounding_of_single_precision_is_removed(rate: int, hours: float, digits: int, count: int) -> None:
+    exact = 3600 * hours + np.arange(count) / rate
+    written = np.array(
+        [float(f"{time:.{digits}g}") if digits > 7 else float(str(time)) for time in exact.astype(np.float32)]
+    )
+    order = find_passes(written)
+    if order.repeats:  # too coarse a clock is refused elsewhere
+        return
+    even, told = without_rounding(written, order)
+    apart = np.spacing(np.float32(exact[-1]))
+    assert np.abs(even - exact).max() < 1.2 * apart
+    if apart * rate > 0.03 and count > 500:
+        assert np.std(np.diff(even)) < 0.01 * apart, told
+
+
 @given(rate=st.sampled_from([50, 100, 250, 1000]), lost=st.lists(st.integers(1, 298), min_size=1, max_size=30, unique=True))
 def test_missing_samples_are_no_rounding(rate: int, lost: list[int]) -> None:
     time = np.delete(np.arange(300) / rate, lost)

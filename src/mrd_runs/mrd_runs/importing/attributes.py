@@ -1,11 +1,15 @@
-"""Attributes of channels in files that describe themselves: units, and scales that change what the numbers mean."""
+"""What files that describe themselves say of a channel, in attributes or beside it: units, and scales that change what the
+numbers mean.
+"""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from mrd_runs.importing.table import Column
 from mrd_runs.importing.units import looks_like_unit
 
 _SCALING = re.compile(r"scal|gain|offset|slope|factor|intercept|calib|multipl|sensitiv|coeff|polynom", re.IGNORECASE)
@@ -57,6 +61,45 @@ def listed_names(texts: Mapping[str, list[str]], count: int) -> tuple[list[str],
         elif _NAMES.search(key) and len(set(found)) == count:
             names = found
     return names, units
+
+
+def with_facts_beside(columns: Sequence[Column], facts: Iterable[tuple[str, str]]) -> tuple[tuple[Column, ...], list[str]]:
+    """Return columns with what single texts and numbers beside them say, such as ``force_unit`` and ``force_scale``.
+
+    Parameters
+    ----------
+    columns : sequence of Column
+    facts : iterable of (str, str)
+        Names and values of what stands beside the columns.
+
+    Returns
+    -------
+    columns : tuple of Column
+        Without those that are a unit of others.
+    remarks : list of str
+        On scales that may be meant for any of them.
+    """
+    described = {column.name: column for column in columns}
+    remarks = []
+    for name, value in facts:
+        problem = scaling_problem({name: value})
+        is_of = [(column, rest) for column in columns if (rest := _rest_of(name, column.name)) and not column.text]
+        for column, rest in is_of:
+            if _UNIT.fullmatch(rest) and not column.unit and value:
+                described[column.name] = replace(described[column.name], unit=value)
+                described.pop(name, None)
+            elif problem and _SCALING.search(rest):
+                described[column.name] = replace(described[column.name], problem=problem)
+        if problem and not is_of:
+            remarks.append(f"{name} = {value} is not applied; where it is meant for a channel, say so with --units")
+    return tuple(described.values()), remarks
+
+
+def _rest_of(name: str, channel: str) -> str:
+    """Return what a name has before or after that of a channel, as ``unit`` of ``force_unit``; "" where it has another."""
+    own, of = (re.split(r"[./]", text)[-1].lower() for text in (name, channel))
+    rest = own.removeprefix(of) if own.startswith(of) else own.removesuffix(of) if own.endswith(of) else ""
+    return rest.strip("_- ")
 
 
 def scaling_problem(attributes: Mapping[str, Any], known: tuple[str, ...] = ()) -> str:

@@ -28,6 +28,11 @@ _LATE = 20
 _ROUNDED = (0.02, 0.5)
 """Last digit of the times, relative to the sampling interval, of which the rounding is removed: a larger step may be that of
 a missing sample."""
+_OFF_SINGLE = 0.3
+"""Distance of times from numbers of single precision, relative to the distance of these, up to which they were such numbers.
+Any other times are up to half of it away, as are those that were written with as few digits as tell them apart."""
+_FEW_TIMES = 200
+"""Times of which it is looked at whether they were written so."""
 _MOST_STEPS = 8
 """Different steps between times of few digits."""
 MOST_REPEATS = 0.05
@@ -149,19 +154,37 @@ def without_rounding(time: Array, order: Passes) -> tuple[Array, str]:
     for piece in order.pieces:
         if len(piece) < FEWEST_SAMPLES:
             return time, ""
-        steps = np.diff(time[piece])
-        sizes = np.unique(np.round(steps / max(np.median(steps), 1e-300), 4)) * np.median(steps)
-        if not 2 <= len(sizes) <= _MOST_STEPS:
-            return time, ""
-        digit = float(np.diff(sizes).min())
+        (digit, off), largest = _single_precision(time[piece]), 1.0
+        if not digit:
+            digit, off, largest = _last_digit(np.diff(time[piece])), 0.0, _ROUNDED[1]
         number = np.arange(len(piece))
         slope, start = np.polyfit(number, time[piece], 1)
         line = start + slope * number
-        if not _ROUNDED[0] <= digit / slope <= _ROUNDED[1] or np.ptp(time[piece] - line) > 1.1 * digit:
+        if not _ROUNDED[0] <= digit / slope <= largest or np.ptp(time[piece] - line) > 1.1 * digit + 2.0 * off:
             return time, ""
         even[piece] = line
         told = f"rounded to {digit:.3g} s; within that, the samples are evenly spaced at {1 / slope:.6g} Hz, and put there"
     return even, told
+
+
+def _last_digit(steps: Array) -> float:
+    """Return the last digit of times in s, by the few sizes that their steps have; 0 where they have one or many."""
+    usual = np.median(steps)
+    sizes = np.unique(np.round(steps / max(usual, 1e-300), 4)) * usual
+    return float(np.diff(sizes).min()) if 2 <= len(sizes) <= _MOST_STEPS else 0.0
+
+
+def _single_precision(time: Array) -> tuple[float, float]:
+    """Return the distance in s of neighbouring numbers of single precision, where times are such numbers, and how far times
+    are off them; 0 elsewhere.
+
+    Those of a clock that has run for hours are further apart than samples are, and text may round them once more.
+    """
+    single = float(np.spacing(np.float32(np.abs(time).max())))
+    off = float(np.abs(time - time.astype(np.float32)).max())
+    few = time[:: max(1, len(time) // _FEW_TIMES)]
+    is_single = off <= _OFF_SINGLE * single or all(float(str(np.float32(number))) == number for number in few)
+    return (single, off) if is_single and np.ptp(np.diff(time)) > 0.5 * single else (0.0, 0.0)
 
 
 def usual_step(time: Array) -> float:

@@ -13,6 +13,7 @@ from mrd_runs.importing.integration import integrate_velocity
 from mrd_runs.importing.quantities import Source
 from mrd_runs.importing.units import COLUMNS, si_unit, to_si
 from mrd_runs.importing.words import names_compression
+from mrd_runs.missing import check_missing, missing_number
 from mrd_runs.text import one_line
 
 Array = NDArray[np.float64]
@@ -84,10 +85,16 @@ def finish(
     if absent:
         raise InputError(f"{path}: --units or --flip names the {absent[0]}, which is not read; expected {', '.join(series)}")
     columns, told, notes = {}, [], list(notes)
+    unneeded = {"acceleration", "temperature", *(["velocity"] if "position" in series else [])}
+    unneeded -= {*mapped.columns, *mapped.topics, *mapped.units}
     for quantity, values in series.items():
         source = sources.get(quantity)
         unit = mapped.units.get(quantity) or (source.unit if source else "")
         is_time = quantity == "time"
+        if quantity in unneeded:
+            values = np.where(values == missing_number(values), np.nan, values)
+        elif source and not is_time:
+            check_missing(values, one_line(source.name), str(path), place)
         columns[quantity] = values if is_time else to_si(quantity, values, unit or si_unit(quantity), str(path))
         if source:
             told.append(f"{quantity} is {one_line(source.name)} in {unit or f'{si_unit(quantity)} (no unit given)'}")
@@ -101,8 +108,7 @@ def finish(
                 f"{one_line(source.name)} is taken as it is: if its numbers grow in compression, turn them with "
                 f"--flip {quantity}"
             )
-    unneeded = {"acceleration", "temperature", *(["velocity"] if "position" in series else [])}
-    for quantity in unneeded & set(columns) - {*mapped.columns, *mapped.topics, *mapped.units}:
+    for quantity in unneeded & set(columns):
         if absent_values := int(np.count_nonzero(~np.isfinite(columns[quantity]))):
             del columns[quantity]
             notes.append(f"the {quantity} is left out: {absent_values} of {len(series[quantity])} values are no numbers")

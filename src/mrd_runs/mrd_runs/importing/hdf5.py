@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_base.extras import load_extra
 from mrd_runs.importing.arrays import columns_of
-from mrd_runs.importing.attributes import listed_names, scaling_problem, text_of, texts_of, unit_attribute
+from mrd_runs.importing.attributes import listed_names, scaling_problem, text_of, texts_of, unit_attribute, with_facts_beside
 from mrd_runs.importing.rates import stated_rate
 from mrd_runs.importing.table import MOST_VALUES, Column, Table
 from mrd_runs.importing.time_of_day import clock_seconds
@@ -71,6 +71,7 @@ def read_hdf5_table(path: Path) -> Table:
     facts: list[tuple[str, str]] = []
     beside: dict[str, dict[str, list[str]]] = {}
     grids: dict[str, _Grid] = {}
+    single: list[tuple[str, str]] = []
 
     def collect(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "SO" and 1 < item.size <= _MOST_NAMES:
@@ -89,6 +90,9 @@ def read_hdf5_table(path: Path) -> Table:
             return
         if item.size == 1 and item.dtype.kind in "fiu":
             facts.append((name.rpartition("/")[2], str(item[()].reshape(-1)[0] if item.shape else item[()])))
+            single.append(facts[-1])
+        if item.size == 1 and item.dtype.kind in "SO":
+            single.append((name, text_of(item[()])))
         for field in item.dtype.names or ("",):
             kind = (item.dtype[field] if field else item.dtype).kind
             if kind not in "fiu":
@@ -133,7 +137,8 @@ def read_hdf5_table(path: Path) -> Table:
                 series[name] = grid.start + np.arange(float(len(series[column]))) * grid.interval
         return series
 
-    return Table(tuple(columns), read, rate=stated_rate(facts))
+    described, remarks = with_facts_beside(columns, single)
+    return Table(described, read, rate=stated_rate(facts), remarks=remarks)
 
 
 def _grid(attributes: Mapping[str, Any]) -> _Grid | None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_runs.importing.arrays import columns_of, leaves_of
-from mrd_runs.importing.attributes import listed_names
+from mrd_runs.importing.attributes import listed_names, with_facts_beside
 from mrd_runs.importing.hdf5 import is_hdf5, read_hdf5_table
 from mrd_runs.importing.rates import stated_rate
 from mrd_runs.importing.table import MOST_VALUES, Column, Table
@@ -51,7 +51,8 @@ def read_matlab_table(path: Path) -> Table:
         raise InputError(f"{path}: cannot be read as a MATLAB file ({one_line(error)})") from None
     columns: dict[str, Column] = {}
     arrays: dict[str, Any] = {}
-    facts: list[tuple[str, str]] = []
+    numbers: list[tuple[str, str]] = []
+    texts: list[tuple[str, str]] = []
     for name, leaf in leaves_of({key: value for key, value in content.items() if not key.startswith("__")}):
         if isinstance(leaf.values, np.ndarray) and leaf.values.dtype.kind in "fiu":
             found = list(columns_of(name, leaf.values.shape))
@@ -62,8 +63,9 @@ def read_matlab_table(path: Path) -> Table:
                 columns[column] = Column(column, unit or leaf.unit, time=leaf.time, problem=leaf.problem)
                 arrays[column] = leaf.values[index]
         elif isinstance(leaf.values, int | float | np.number):
-            facts.append((name.rpartition(".")[2], str(leaf.values)))
+            numbers.append((name.rpartition(".")[2], f"{leaf.values:g}"))
         else:
+            texts += [(name, leaf.values)] if isinstance(leaf.values, str) else []
             columns[name] = Column(name, text=_kind(leaf.values))
     if any(kind in ("opaque", "object") for *_, kind in listed):
         columns |= {name: Column(name, text=f"a {kind} of MATLAB") for name, kind in _objects(path).items()}
@@ -73,10 +75,12 @@ def read_matlab_table(path: Path) -> Table:
             f"{path}: holds no vectors of numbers{f' ({others})' if others else ''}; save time, position and force as "
             "vectors or as a structure of them (tables, timeseries and other objects of MATLAB can be read by MATLAB only)"
         )
+    described, remarks = with_facts_beside(list(columns.values()), [*numbers, *texts])
     return Table(
-        tuple(columns.values()),
+        described,
         lambda names: {name: np.ascontiguousarray(arrays[name], np.float64) for name in names},
-        rate=stated_rate(facts),
+        rate=stated_rate(numbers),
+        remarks=remarks,
     )
 
 
