@@ -243,6 +243,16 @@ def test_a_counter_tells_which_samples_are_missing(imported: Any, tmp_path: Path
     assert any("20 samples are missing by Sample Number" in note for note in run.info["notes"])
 
 
+@pytest.mark.parametrize("counter", ["frame", "Sample", "Row"])
+def test_a_counter_is_not_proposed_as_time(imported: Any, tmp_path: Path, counter: str) -> None:
+    numbers = [str(number) for number in range(COUNT)]
+    table(tmp_path / "a.txt", f"{counter},Position mm,Force N", numbers, 1e3 * position(TIME), force(TIME))
+    error = imported("a.txt --current 0.5")
+    assert "--rate HZ" in error
+    assert f"time={counter}" not in error
+    check(only(imported("a.txt --current 0.5 --rate 200")))
+
+
 def simulink(time: Any, signals: dict[str, np.ndarray]) -> dict[str, Any]:
     entries = np.zeros(len(signals), [("values", object), ("dimensions", object), ("label", object)])
     for entry, (label, values) in zip(entries, signals.items(), strict=True):

@@ -33,6 +33,11 @@ _COUNTERS = (
     "no",
     "nr",
     "scan",
+    "frame",
+    "framenumber",
+    "row",
+    "record",
+    "point",
 )
 _MOST_TRIALS = 24
 
@@ -125,7 +130,7 @@ def find_sources(
         known = {quantity: name for quantity, name in chosen.items() if quantity not in missing}
         if len(times) == 1 and not rate_is_given:
             known = {"time": times[0]} | known
-        raise _undecided(where, list(named), known, doubtful | {"time": times}, missing, texts)
+        raise _undecided(where, named, known, doubtful | {"time": times}, missing, texts)
     sources = {q: Source(name, unit_of(q, named[name]), of.get(q) or "") for q, name in used.items()}
     if len(set(of.values())) == 1:
         (name,) = {time for time in of.values() if time}
@@ -310,14 +315,14 @@ def topic_mappings(ranges: Mapping[str, float], *, current_is_given: bool) -> li
 
 def _undecided(
     where: str,
-    names: Sequence[str],
+    named: Mapping[str, Column],
     chosen: Mapping[str, str],
     doubtful: Mapping[str, Sequence[str]],
     missing: list[str],
     texts: Mapping[str, str],
 ) -> UndecidedError:
     """Return the error about quantities that the columns do not tell, with the mappings that might be meant."""
-    free = [name for name in names if name not in chosen.values()]
+    free = [name for name, column in named.items() if name not in chosen.values() and not is_counter(column)]
     pools = []
     for quantity in missing:
         pool = [name for name in doubtful.get(quantity, ()) if name in free]
@@ -328,7 +333,7 @@ def _undecided(
         used = [name for name in names_of if name]
         if len(set(used)) == len(used) and len(mappings) < _MOST_TRIALS:
             mappings.append(dict(chosen) | {q: name for q, name in zip(missing, names_of, strict=True) if name})
-    known = f"columns: {listed(names)}"
+    known = f"columns: {listed(named)}"
     if texts:
         shown = (f"{one_line(name)} holds {one_line(text)!r}" for name, text in list(texts.items())[:3])
         known += f"; no numbers: {', '.join(shown)}"
