@@ -99,7 +99,7 @@ class Recording:
         return replace(
             self,
             counted=slice(self.counted.start, self.counted.stop),
-            path=run_path(self.smoothed).led_in(self.path.lead_in),
+            path=run_path(self.smoothed, self.path.mains).led_in(self.path.lead_in),
             other_starts=None,
         )
 

@@ -160,9 +160,13 @@ class Path:
         )
 
 
-def run_path(smoothed: SmoothedRun) -> Path:
-    """Return the path of a recorded run: its smoothed motion, its current without sensor noise, the hum."""
-    return replace(_along(smoothed, 1), mains=mains_lines(smoothed.run, smoothed.current), smoothed=smoothed)
+def run_path(smoothed: SmoothedRun, mains: Sequence[Line] | None = None) -> Path:
+    """Return the path of a recorded run: its smoothed motion, its current without sensor noise, the hum.
+
+    ``mains`` is the hum on its force where that is known; to find it takes longer than all else.
+    """
+    mains = mains_lines(smoothed.run, smoothed.current) if mains is None else mains
+    return replace(_along(smoothed, 1), mains=mains, smoothed=smoothed)
 
 
 def _along(smoothed: SmoothedRun, parts: int | NDArray[np.intp]) -> Path:

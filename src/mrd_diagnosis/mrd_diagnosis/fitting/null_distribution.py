@@ -67,7 +67,8 @@ def draw_null_errors(
         errors = []
         for _ in range(draws):
             remeasured = remeasure(recording.smoothed, rng_of_run)
-            again = Recording(remeasured, run_path(remeasured).led_in(recording.path.lead_in), recording.counted)
+            path = run_path(remeasured, recording.path.mains)  # the force, and so its hum, is the same
+            again = Recording(remeasured, path.led_in(recording.path.lead_in), recording.counted)
             error = again.modelled(problem.model, theta) - true
             error += rng_of_run.normal(0.0, scatter.gain) * true + rng_of_run.normal(0.0, scatter.offset)
             errors.append(problem.whitenings[index](error + rng_of_run.normal(0.0, force_noise[index], len(true))))

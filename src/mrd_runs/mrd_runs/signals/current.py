@@ -8,6 +8,7 @@ noise, the one with the least variance of the estimate is taken. Next to a step,
 
 import math
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 import scipy
@@ -130,8 +131,7 @@ def _polynomials(
     starts = np.arange(0, len(series) - length + 1, 1 if length in _SHORT else length // _STARTS_PER_LENGTH)
     windows = sliding_window_view(series, length)[starts]
     # With orthonormal polynomials, every coefficient accounts for its square of the sum of squares.
-    powers = np.vander(np.linspace(-1.0, 1.0, length), min(3 + _HIGHER_TERMS, length), increasing=True)
-    basis = np.linalg.qr(powers)[0]
+    basis = _orthonormal_polynomials(length)
     coefficients = windows @ basis
     squares = np.einsum("ij,ij->i", windows, windows)
     for terms in (1, 2, 3):
@@ -143,6 +143,13 @@ def _polynomials(
             higher = np.sum(coefficients[:, terms : terms + _HIGHER_TERMS] ** 2, axis=1)
             fits &= higher <= slow_noise**2 * scipy.special.chdtri(_HIGHER_TERMS, 1.0 - _ACCEPTED_LONG)
         yield starts[fits], np.ascontiguousarray(basis[:, :terms]), coefficients[fits, :terms]
+
+
+@cache
+def _orthonormal_polynomials(length: int) -> Array:
+    """Return polynomials (length, terms) of rising order over a window of a length in samples."""
+    powers = np.vander(np.linspace(-1.0, 1.0, length), min(3 + _HIGHER_TERMS, length), increasing=True)
+    return np.linalg.qr(powers)[0]
 
 
 @njit(cache=True, nogil=True)
