@@ -234,8 +234,8 @@ def controller_entries(
     )
 
 
-@compiled(types.none, *CONTROLLER_TYPES, ROW, ROW, ROW, types.float64, types.float64, ROW, ROW)
-def _cycle(
+@compiled(types.none, *CONTROLLER_TYPES, ROW, ROWS, ROW, ROW, ROWS, ROWS, ROWS)
+def _cycles(
     law: Any,
     predictor: Any,
     law_parameters: Array,
@@ -251,13 +251,13 @@ def _cycle(
     lever_ratio: float,
     state: Array,
     base: Array,
-    base_after: Array,
-    force: float,
-    rod: float,
+    force: Array,
+    rod: Array,
+    states: Array,
     signals: Array,
-    answer: Array,
+    answers: Array,
 ) -> None:
-    """`control_cycle`, to be called from Python."""
+    """`control_cycle` for each sample of a block, to be called from Python; a call takes longer than a cycle."""
     controller = CompiledController(
         law,
         predictor,
@@ -273,11 +273,13 @@ def _cycle(
         base_share,
         lever_ratio,
     )
-    control_cycle(controller, state, base, base_after, force, rod, signals, answer)
+    for i in range(len(force)):
+        states[i] = state
+        control_cycle(controller, state, base[i], base[i + 1], force[i], rod[i], signals[i], answers[i])
 
 
 class Controller:
-    """The controller of a hybrid test, cycle by cycle; the same compiled code as in `mrd_control.loop.run_loop`.
+    """The controller of a hybrid test, block by block; the same compiled code as in `mrd_control.loop.run_loop`.
 
     Parameters
     ----------
@@ -286,10 +288,8 @@ class Controller:
 
     Attributes
     ----------
-    state : ndarray (2 n,)
+    state : ndarray (2 N,)
         Of the emulated system.
-    signals : ndarray (8 + 2 n,)
-        What the law saw in the latest cycle (`mrd_control.laws.law.Signals`).
     """
 
     def __init__(
@@ -304,9 +304,28 @@ class Controller:
     ) -> None:
         self.state = np.zeros(system.order)
         self._entries = controller_entries(system, damper, law, rate, actuator, gains, most_current)
-        self.signals, self._answer = np.zeros(STATE + system.order), np.zeros(5 + system.order)
 
-    def step(self, base: Array, base_after: Array, force: float, rod: float) -> Array:
-        """Return current, command and motion (5,), the first entries of `control_cycle`'s answer, for these arguments."""
-        _cycle(*self._entries, self.state, base, base_after, force, rod, self.signals, self._answer)
-        return self._answer[:5].copy()
+    def add_block(self, base: Array, force: Array, rod: Array) -> tuple[Array, Array, Array]:
+        """Take a block of n samples and return what the controller made of each.
+
+        Parameters
+        ----------
+        base : ndarray (n + 1, 2)
+            Position in m and velocity in m/s of the base at the samples and at the one after them.
+        force, rod : ndarray (n,)
+            Measured force in N and position of the rod in m.
+
+        Returns
+        -------
+        states : ndarray (n, 2 N)
+            State of the emulated system at the samples.
+        signals : ndarray (n, 8 + 2 N)
+            What the law saw (`mrd_control.laws.law.Signals`).
+        answers : ndarray (n, 5)
+            Current, command and motion: the first entries of `control_cycle`'s answer.
+        """
+        base, force, rod = (np.ascontiguousarray(series, np.float64) for series in (base, force, rod))
+        n, order = len(force), len(self.state)
+        states, signals, answers = np.empty((n, order)), np.empty((n, STATE + order)), np.empty((n, 5 + order))
+        _cycles(*self._entries, self.state, base, force, rod, states, signals, answers)
+        return states, signals, answers[:, :5]

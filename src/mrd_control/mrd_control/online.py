@@ -165,23 +165,18 @@ class OnlineLoop:
         if not (np.isfinite(force).all() and np.isfinite(rod).all()):
             raise InputError("a measured force or position is no number; check the daq")
         n = min(len(force), experiment.samples - self.samples)
-        states = np.empty((n, len(self._controller.state)))
-        travel, command, commanded = np.empty((3, n))
         before, energy = self._command, 0.0
-        answer = np.zeros(5)
-        for i in range(n):
-            k = self.samples + i
-            states[i] = self._controller.state
-            answer = self._controller.step(self._base[k], self._base[k + 1], float(force[i]), float(rod[i]))
-            travel[i] = self._controller.signals[_TRAVEL]
-            commanded[i], command[i] = answer[0], answer[1]
-            self._work = self._left * self._work + force[i] * answer[3] * period
+        base = self._base[self.samples : self.samples + n + 1]
+        states, signals, answers = self._controller.add_block(base, force[:n], rod[:n])
+        answer = answers[-1]
+        for of_sample, speed in zip(force, answers[:, 3], strict=False):
+            self._work = self._left * self._work + of_sample * speed * period
         if not math.isnan(self._rod):
             path = np.concatenate([[self._rod], rod])
             energy = float(np.sum(force * np.diff(path)))
         self._rod = float(rod[-1])
         self.samples += n
-        self._command = float(command[-1])
+        self._command = float(answer[1])
         end = time + len(force) * period
         if self._prediction is None:
             # The slope of the commands is what the predictor makes of the velocity; it holds half a block earlier.
@@ -197,9 +192,9 @@ class OnlineLoop:
             acceleration=float(motion[2]),
             current=float(answer[0]),
             states=states,
-            travel=travel,
-            command=command,
-            commanded=commanded,
+            travel=signals[:, _TRAVEL],
+            command=answers[:, 1],
+            commanded=answers[:, 0],
             work=self._work,
             power=energy / (len(force) * period),
             done=self.samples >= experiment.samples,

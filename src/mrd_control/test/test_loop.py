@@ -187,19 +187,19 @@ def passive(model):
 
 @pytest.mark.parametrize("predictor", PREDICTORS)
 def test_the_controller_of_the_bench_is_that_of_the_offline_twin(predictor, car, bouc_wen):
-    """Cycle by cycle from Python, with the forces and positions that the twin has measured."""
+    """With the forces and positions that the twin has measured."""
     actuator = Actuator(0.004, 0.001, predictor)
     base = Road("A", 20.0, seed=4).base(1500, RATE)
     law = LAWS["clipped_lqg"]
     twin = run_loop(car, bouc_wen, law, base, RATE, actuator=actuator)
     controller = Controller(car, bouc_wen, law, RATE, actuator)
-    for k in range(len(base) - 1):
-        np.testing.assert_allclose(controller.state, twin.state[k], rtol=0, atol=1e-15)
-        current, command, travel, speed, _ = controller.step(base[k], base[k + 1], twin.force[k], twin.rod[k])
-        assert current == twin.commanded[k]
-        assert command == twin.command[k + 1]
-        assert travel == pytest.approx(twin.travel[k + 1], abs=1e-15)
-        assert speed == pytest.approx(twin.speed[k + 1], abs=1e-12)
+    states, _, answers = controller.add_block(base, twin.force[:-1], twin.rod[:-1])
+    current, command, travel, speed, _ = answers.T
+    np.testing.assert_allclose(states, twin.state[:-1], rtol=0, atol=1e-15)
+    assert np.array_equal(current, twin.commanded[:-1])
+    assert np.array_equal(command, twin.command[1:])
+    np.testing.assert_allclose(travel, twin.travel[1:], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(speed, twin.speed[1:], rtol=0, atol=1e-12)
 
 
 def test_without_delay_the_hybrid_loop_is_the_simulated_one(car, linear_damper):
