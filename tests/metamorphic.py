@@ -8,8 +8,6 @@ As a script it prints one line a case, for example
 """
 
 import argparse
-import subprocess
-import sys
 import tempfile
 import time
 import warnings
@@ -20,6 +18,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from in_process import run_mrd
 from metamorphic_sets import MODEL, SETS, Columns, Recordings
 from scipy.io import savemat
 
@@ -272,8 +271,7 @@ def expected_error(change: Change, unchanged: Outcome) -> float:
 def imported(recordings: Recordings, folder: Path, file_format: str) -> list[Run]:
     """Write recordings to files in a folder, and read the bags that ``mrd import`` makes of them."""
     files = [_write(folder / name, columns, file_format) for name, columns in recordings.items()]
-    command = [sys.executable, "-m", "mrd_cli.cli.mrd", "import", *map(str, files), "--output", str(folder / "bags")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = run_mrd("import", *files, "--output", folder / "bags")
     if done.returncode:
         raise InputError(f"import: {done.stderr.strip().splitlines()[-1]}")
     bags = [line.partition(": ")[0] for line in done.stdout.splitlines() if line.startswith(str(folder))]

@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -139,9 +140,9 @@ for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
 """
 
 
-def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Yield line and full name of every module that a syntax tree imports, anywhere in it."""
-    for node in ast.walk(tree):
+def imports(tree: ast.AST, *, at_once: bool = False) -> Iterator[tuple[int, str]]:
+    """Yield line and full name of every module that a syntax tree imports, anywhere in it, or where it runs ``at_once``."""
+    for node in outside_functions(tree) if at_once else ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and not node.level:
@@ -150,19 +151,19 @@ def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
             yield from ((node.lineno, f"{node.module}.{alias.name}") for alias in node.names)
 
 
-def at_import(tree: ast.Module) -> ast.Module:
-    """Return what runs when the module is imported: everything but the bodies of functions."""
-
-    class WithoutFunctions(ast.NodeTransformer):
-        def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
-            return None
-
-    return WithoutFunctions().visit(tree)
+def outside_functions(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield the nodes that run when a module is imported: all but those in functions."""
+    for node in ast.iter_child_nodes(tree):
+        if not isinstance(node, ast.FunctionDef):
+            yield node
+            yield from outside_functions(node)
 
 
-def modules(package: str) -> Iterator[tuple[Path, ast.Module]]:
-    for file in sorted((SOURCES / package / package).rglob("*.py")):
-        yield file, ast.parse(file.read_text(encoding="utf-8"), str(file))
+@cache
+def modules(package: str) -> list[tuple[Path, ast.Module]]:
+    """Return the files of a package with their syntax trees, which tests share and must not change."""
+    files = sorted((SOURCES / package / package).rglob("*.py"))
+    return [(file, ast.parse(file.read_text(encoding="utf-8"), str(file))) for file in files]
 
 
 def in_nodes(file: Path) -> bool:
@@ -203,7 +204,7 @@ def test_the_daq_library_is_optional(package):
     wrong = [
         f"{file}:{line}"
         for file, tree in modules(package)
-        for line, name in imports(at_import(tree))
+        for line, name in imports(tree, at_once=True)
         if name.startswith("nidaqmx")
     ]
     assert not wrong

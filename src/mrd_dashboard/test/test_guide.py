@@ -3,14 +3,13 @@
 import asyncio
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from in_process import run_mrd
 from nicegui.testing import User
 
 from mrd_base import InputError
@@ -108,9 +107,8 @@ def report(folder: Path, *, effects: list[str], verdict: str = "explained") -> N
 def diagnosed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of the diagnosis of the worn joint with few candidates, as the tool writes it."""
     folder = tmp_path_factory.mktemp("diagnosed")
-    command = [sys.executable, "-m", "mrd_cli.cli.mrd", "diagnose", *map(str, WORN), "--model", "bouc_wen"]
-    command += ["--effects", "joint_play,seal_friction", "--output", str(folder)]
-    subprocess.run(command, check=True, capture_output=True)
+    options = ["--model", "bouc_wen", "--effects", "joint_play,seal_friction", "--output", folder]
+    run_mrd("diagnose", *WORN, *options).check_returncode()
     return folder
 
 

@@ -3,13 +3,12 @@
 import asyncio
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from in_process import run_mrd
 from nicegui import ui
 from nicegui.testing import User
 
@@ -480,8 +479,7 @@ def test_a_trend_does_not_choose_the_model_itself(visit, dashboard) -> None:
 
 def test_a_diagnosis_starts_from_a_fit_that_there_is(visit, dashboard, stored_fit, recorded) -> None:
     dashboard.control.take("a", "Ann")
-    command = [sys.executable, "-m", "mrd_runs.cli.import_", recorded[0], "--output", dashboard.recordings.folder]
-    subprocess.run(command, check=True, capture_output=True)
+    run_mrd("import", recorded[0], "--output", dashboard.recordings.folder).check_returncode()
     asked: list[JobRequest] = []
     dashboard.jobs.start = lambda request: asked.append(request) or Job(len(asked), request, dashboard.jobs.folder)
 
@@ -574,8 +572,7 @@ def test_the_latest_jobs_are_listed(visit, dashboard, tmp_path: Path) -> None:
 
 
 def test_two_recordings_are_compared(visit, dashboard, recorded) -> None:
-    command = [sys.executable, "-m", "mrd_runs.cli.import_", *recorded[:2], "--output", dashboard.recordings.folder]
-    subprocess.run(command, check=True, capture_output=True)
+    run_mrd("import", *recorded[:2], "--output", dashboard.recordings.folder).check_returncode()
 
     async def work(user: User) -> None:
         user.find("Runs").click()

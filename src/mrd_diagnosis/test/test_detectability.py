@@ -104,10 +104,11 @@ def test_a_recorded_effect_lowers_the_error_as_predicted(base_fit_of_plans, effe
 )
 def test_from_the_smallest_size_on_a_diagnosis_names_an_effect(base_fit_of_plans, effect):
     (detectability,) = detectable_sizes(*base_fit_of_plans, [effect])
-    for factor, named in (1.2, [effect]), (0.3, []):
+    alike = (effect, *EFFECTS[effect].confused_with)
+    for factor, named, among in (1.2, [effect], ()), (0.3, [], alike):
         values = scaled_effect(EFFECTS[effect], factor * detectability.smallest_size)
         runs = measure_plans(PLANS, Damper("bouc_wen", PARAMETERS, effects={effect: values}), np.random.default_rng(5))
-        assert [cause.effect for cause in diagnose(runs, "bouc_wen").causes] == named, factor
+        assert [cause.effect for cause in diagnose(runs, "bouc_wen", effects=among).causes] == named, factor
 
 
 def test_an_effect_with_which_the_model_diverges_shows(base_fit_of_plans, monkeypatch):

@@ -138,11 +138,15 @@ def test_without_the_effect_in_the_catalogue_it_is_unknown(delayed):
     assert {model.name for model in diagnosis.alternative_models} >= {"sigmoid", "bouc_wen with exponent fitted too"}
 
 
-def test_without_an_effect_there_is_no_gap():
-    diagnosis = diagnose(recorded(seed=1), "bouc_wen", effects=FEW)
-    assert (diagnosis.verdict, diagnosis.causes, diagnosis.corrected.effects) == ("no_gap", (), ())
-    assert diagnosis.gap.before.value < 1.2 * diagnosis.gap.noise_floor.value
-    smallest = {candidate.effects[0]: candidate.smallest_detectable for candidate in diagnosis.candidates}
+@pytest.fixture(scope="module")
+def healthy():
+    return diagnose(recorded(seed=1), "bouc_wen", effects=("cavitation", *FEW))
+
+
+def test_without_an_effect_there_is_no_gap(healthy):
+    assert (healthy.verdict, healthy.causes, healthy.corrected.effects) == ("no_gap", (), ())
+    assert healthy.gap.before.value < 1.2 * healthy.gap.noise_floor.value
+    smallest = {candidate.effects[0]: candidate.smallest_detectable for candidate in healthy.candidates}
     assert smallest["channel_delay"].endswith(("ms", "µs"))
 
 
@@ -395,15 +399,14 @@ def test_a_strong_hum_in_slow_sampling_is_no_noise(frequency):
     assert any(finding.kind == "hum" for finding in diagnosis.findings)
 
 
-def test_a_detectable_cap_is_one_that_the_force_reaches():
-    diagnosis = diagnose(recorded(seed=1), "bouc_wen", effects=("cavitation", *FEW))
-    cavitation = next(candidate for candidate in diagnosis.candidates if candidate.effects == ("cavitation",))
+def test_a_detectable_cap_is_one_that_the_force_reaches(healthy):
+    cavitation = next(candidate for candidate in healthy.candidates if candidate.effects == ("cavitation",))
     cap = re.fullmatch(r"cavitation limits the force in compression to (\d+) N", cavitation.smallest_detectable)[1]
     model = find_model("bouc_wen", effects=("cavitation",))
     change = [
-        model.force(model.vector(diagnosis.corrected.parameters | {"cavitation.inverse_cap": 1 / float(cap)}), path)
-        - model.force(model.vector(diagnosis.corrected.parameters), path)
-        for path in (residual.recording.path for residual in diagnosis.residuals)
+        model.force(model.vector(healthy.corrected.parameters | {"cavitation.inverse_cap": 1 / float(cap)}), path)
+        - model.force(model.vector(healthy.corrected.parameters), path)
+        for path in (residual.recording.path for residual in healthy.residuals)
     ]
     assert np.abs(np.concatenate(change)).max() > 5.0
 

@@ -118,18 +118,21 @@ def test_nothing_is_named_where_nothing_changed(seeds):
     assert diagnosis.verdict == "no_gap"
 
 
-def test_a_size_of_a_change_is_right():
-    diagnosis = diagnose(changed(share=0.08), "bouc_wen", reference=runs(BEFORE), effects=("load_cell_gain",))
-    (value,) = diagnosis.causes[0].parameters.values()
+@pytest.fixture(scope="module")
+def of_gain():
+    """The diagnosis of a load cell whose gain has risen by 8 %."""
+    return diagnose(changed(share=0.08), "bouc_wen", reference=runs(BEFORE), effects=("load_cell_gain",))
+
+
+def test_a_size_of_a_change_is_right(of_gain):
+    (value,) = of_gain.causes[0].parameters.values()
     assert value.value.value == pytest.approx(0.08, abs=0.01)
 
 
-def test_the_report_of_a_change_names_the_reference_runs(tmp_path):
-    recorded = runs(BEFORE)
-    diagnosis = diagnose(changed(share=0.08), "bouc_wen", reference=recorded, effects=("load_cell_gain",))
-    assert diagnosis.sentence.startswith("Something has changed since the reference runs. The load cell's gain is off by 7")
-    assert "of the change." in diagnosis.sentence
-    page = write_gap_report(diagnosis, tmp_path)
+def test_the_report_of_a_change_names_the_reference_runs(of_gain, tmp_path):
+    assert of_gain.sentence.startswith("Something has changed since the reference runs. The load cell's gain is off by 7")
+    assert "of the change." in of_gain.sentence
+    page = write_gap_report(of_gain, tmp_path)
     assert "compared with 3 from before a change" in page.read_text(encoding="utf-8")
     content = read_gap_report(tmp_path / "gap_report.json")
     assert [run["name"] for run in content["runs"]["reference"]] == ["run0", "run1", "run2"]

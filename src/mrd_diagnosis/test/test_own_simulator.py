@@ -1,14 +1,13 @@
 """The gap between a simulator of the user's own and recordings."""
 
 import json
-import subprocess
-import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from in_process import run_mrd
 from scipy.optimize import brentq
 
 from mrd_base import InputError
@@ -136,8 +135,7 @@ def test_the_tool_finds_the_fmu_of_a_report(of_fmu, fmu, tmp_path):
     report = tmp_path / "gap_report.json"
 
     def export(name, *options, of=report):
-        command = [sys.executable, "-m", "mrd_cli.cli.mrd", "export", str(of), "--output", str(tmp_path / name), *options]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
+        return run_mrd("export", of, "--output", tmp_path / name, *options)
 
     done = export("corrected.fmu")
     assert "corrected.fmu: mine.fmu with joint_play" in done.stdout, done.stderr
@@ -157,8 +155,7 @@ def test_the_tool_finds_the_fmu_of_a_report(of_fmu, fmu, tmp_path):
 
 def test_a_plant_file_cannot_hold_a_simulator(of_fmu, tmp_path):
     write_gap_report(of_fmu, tmp_path)
-    arguments = ["apply", str(tmp_path / "gap_report.json"), "--plant", "plant.yaml", "--output", str(tmp_path / "new.yaml")]
-    done = subprocess.run([sys.executable, "-m", "mrd_cli.cli.mrd", *arguments], capture_output=True, text=True, check=False)
+    done = run_mrd("apply", tmp_path / "gap_report.json", "--plant", "plant.yaml", "--output", tmp_path / "new.yaml")
     assert done.returncode == 2
     assert "corrects the simulator mine.fmu, and a plant file has a damper model of the catalogue" in done.stderr
 
@@ -368,13 +365,8 @@ def test_recorded_outputs_stand_for_a_closed_simulator(runs, fmu, tmp_path):
                 folder / f"{run.name}.csv", table, delimiter=",", header="time_s,position_m,current_A,force_N", comments=""
             )
     output = tmp_path / "gap"
-    arguments = ["diagnose", *map(str, sorted(EXAMPLE.glob("*.csv"))), "--simulator", *map(str, folder.glob("*.csv"))]
-    done = subprocess.run(
-        [sys.executable, "-m", "mrd_cli.cli.mrd", *arguments, "--output", str(output)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    arguments = [*sorted(EXAMPLE.glob("*.csv")), "--simulator", *folder.glob("*.csv")]
+    done = run_mrd("diagnose", *arguments, "--output", output)
     assert done.returncode == 0, done.stderr
     report = json.loads((output / "gap_report.json").read_text())
     assert [cause["effect"] for cause in report["causes"]] == ["joint_play"]
@@ -430,15 +422,8 @@ def test_a_parameter_without_influence_is_no_free_one(runs, tmp_path):
 def test_the_diagnosis_goes_around_the_refitted_simulator(runs, tmp_path):
     (tmp_path / "mine.py").write_text(SIMULATOR)
     free = ["--free", "c", "f0", "f1", "--effects", "joint_play,gas_spring", "--model", "hyperbolic_tangent"]
-    done = subprocess.run(
-        [
-            *[sys.executable, "-m", "mrd_cli.cli.mrd", "diagnose", *map(str, sorted(EXAMPLE.glob("*.csv")))],
-            *["--simulator", str(tmp_path / "mine.py"), *free, "--output", str(tmp_path / "gap")],
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    arguments = [*sorted(EXAMPLE.glob("*.csv")), "--simulator", tmp_path / "mine.py", *free]
+    done = run_mrd("diagnose", *arguments, "--output", tmp_path / "gap")
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "gap" / "gap_report.json").read_text())
     assert "--set c=" in report["simulator"]["source"]

@@ -179,8 +179,8 @@ def test_the_tool_prints_what_it_selected(tmp_path, monkeypatch, capsys):
         files.append(str(tmp_path / f"{run.name}.csv"))
         columns = np.stack([run.time, run.position, run.current, run.force], axis=1)
         np.savetxt(files[-1], columns, "%.9g", ",", header="time_s,position_m,current_A,force_N", comments="")
-    options = ["--model", "bouc_wen", "--effects", "auto", "--seeds", "1", "--no-profile", "--output"]
-    monkeypatch.setattr("sys.argv", ["identify", *files, *options, str(tmp_path / "fit")])
+    options = ["--model", "bouc_wen", "--effects", "auto", "--population", "16", "--generations", "8", "--seeds", "1"]
+    monkeypatch.setattr("sys.argv", ["identify", *files, *options, "--no-profile", "--output", str(tmp_path / "fit")])
     main()
     printed = capsys.readouterr().out
     assert "joint_play was added: on 5 runs left out in turn it removes" in printed

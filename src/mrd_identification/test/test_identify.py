@@ -4,6 +4,7 @@ import datetime
 import json
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from mrd_sim.models import find_model
 from mrd_sim.path import make_path
 
 RATE = 500.0
+BRIEF = {"population": 16, "generations": 8, "seeds": 1, "profile": False}
+"""A search that is long enough where least squares find the rest."""
 
 
 def simulate(model, values, *, seconds=6.0, seed=0, noise=0.0, current=None, name=None):
@@ -154,6 +157,7 @@ def test_unit_box_round_trip():
     assert np.allclose([problem.unit(theta) for theta in problem.theta(unit)], unit)
 
 
+@cache
 def weighted_recordings(noise):
     return [
         prepare_recording(simulate("bouc_wen", TRUTH, noise=noise, seed=seed), weight)
@@ -192,13 +196,20 @@ def test_a_derivative_that_has_diverged_is_a_difference(diverged, monkeypatch):
     np.testing.assert_allclose(problem.jacobian(unit), exact, rtol=1e-2, atol=1e-3 * np.abs(exact).max())
 
 
+@pytest.fixture(scope="module")
+def at_constant_currents():
+    runs = [simulate("bouc_wen", TRUTH, seed=k, current=level) for k, level in enumerate((0.0, 0.3, 0.8))]
+    return [prepare_recording(run) for run in runs]
+
+
 @pytest.mark.parametrize("effect", ["", "series_compliance", "force_sensor_lag", "current_saturation", "thermal_fade"])
 @pytest.mark.parametrize("model", ["bouc_wen", "shear_thinning_bouc_wen", "polynomial"])
-def test_at_constant_currents_the_derivative_to_a_slope_is_the_same_whatever_else_is_asked_for(model, effect):
+def test_at_constant_currents_the_derivative_to_a_slope_is_the_same_whatever_else_is_asked_for(
+    model, effect, at_constant_currents
+):
     """It then follows from the one to the value, where it may: not where an effect changes the current or outlasts a run."""
     damper = find_model(model, "quadratic", [effect] if effect else [])
-    runs = [simulate("bouc_wen", TRUTH, seed=k, current=level) for k, level in enumerate((0.0, 0.3, 0.8))]
-    problem, _ = make_problem(damper, [prepare_recording(run) for run in runs])
+    problem, _ = make_problem(damper, at_constant_currents)
     unit = 0.8 * problem.unit(damper.defaults) + 0.2 * np.random.default_rng(1).random(len(problem.free))
     together = problem.jacobian(unit)
     alone = np.concatenate([problem.jacobian(unit, [place]) for place in range(len(unit))], axis=1)
@@ -229,7 +240,7 @@ def test_run_offsets_do_not_influence_the_fit_and_are_reported():
         Run(run.name, run.time, run.position, run.velocity, run.current, run.force + shift)
         for run, shift in zip(runs, (20.0, -30.0, 10.0), strict=True)
     ]
-    fit = identify(shifted, "bouc_wen", seed=1, seeds=1, offsets=True, profile=False)
+    fit = identify(shifted, "bouc_wen", seed=1, offsets=True, **BRIEF)
     assert fit.run_offsets == pytest.approx((20.0, -30.0, 10.0), abs=0.5)
     assert fit.values["yield_force"] == pytest.approx(TRUTH["yield_force"], rel=0.01)
     assert fit.values["offset"] == pytest.approx(TRUTH["offset"], abs=0.5)
@@ -245,7 +256,7 @@ def test_an_effect_is_identified_with_the_model(tmp_path):
         noise = np.random.default_rng(seed).standard_normal(len(run))
         force = damper.force(truth, path) + noise
         runs.append(Run(run.name, run.time, run.position, run.velocity, run.current, force))
-    fit = identify(runs, "bingham", effects=["moving_mass"], seeds=1, profile=False)
+    fit = identify(runs, "bingham", effects=["moving_mass"], **BRIEF)
     (mass,) = (e for e in fit.estimates if e.parameter.name == "moving_mass.mass")
     assert mass.lower < 3.0 < mass.upper
     assert mass.value == pytest.approx(3.0, rel=0.05)
@@ -264,7 +275,7 @@ def test_a_run_begins_in_the_state_in_which_the_run_before_has_ended():
     without_heat = [simulate("bingham", {}, seed=seed) for seed in (1, 2, 3)]
     forces = consecutive_modelled_forces(damper, truth, [prepare_recording(run) for run in without_heat])
     runs = [replace(run, force=force) for run, force in zip(without_heat, forces, strict=True)]
-    fit = identify(runs[:2], "bingham", effects=["thermal_fade"], held_out=runs[2:], seeds=1, profile=False)
+    fit = identify(runs[:2], "bingham", effects=["thermal_fade"], held_out=runs[2:], **BRIEF)
     assert all(result.metrics.nrmse < 1e-3 for result in (*fit.fitted, *fit.held_out))
 
 
@@ -273,7 +284,7 @@ def test_outliers_hardly_change_a_fit_with_a_robust_loss():
     random = np.random.default_rng(0)
     force = run.force + np.where(random.random(len(run)) < 0.02, 400.0, 0.0)
     outliers = Run("outliers", run.time, run.position, run.velocity, run.current, force)
-    plain, robust = (identify([outliers], "bingham", seeds=1, loss=loss) for loss in ("linear", "huber"))
+    plain, robust = (identify([outliers], "bingham", loss=loss, **BRIEF) for loss in ("linear", "huber"))
     assert abs(robust.values["offset"]) < 0.3 < abs(plain.values["offset"])
     widths = [next(e.upper - e.lower for e in fit.estimates if e.parameter.name == "offset") for fit in (plain, robust)]
     assert widths[1] < 0.5 * widths[0]
@@ -286,7 +297,7 @@ def test_weights_decide_between_runs_with_different_parameters():
     ]
 
     def viscous(weights):
-        return identify(runs, "linear_viscous", seeds=1, weights=weights, profile=False).values["viscous"]
+        return identify(runs, "linear_viscous", weights=weights, **BRIEF).values["viscous"]
 
     assert viscous("force") < viscous("runs") < viscous("samples")
     assert viscous([1.0, 1e-6]) == pytest.approx(2000.0, rel=1e-3)
@@ -451,7 +462,7 @@ def test_unusable_input_is_one_line():
 def test_a_run_that_is_left_out_does_not_influence_its_prediction():
     """There are two currents; one alone does not determine the slopes over current, and the prediction error shows it."""
     runs = [simulate("bingham", {}, seed=1, current=0.1), simulate("bingham", {}, seed=2, current=0.4)]
-    options = {"population": 16, "generations": 8, "seed": 1, "seeds": 1, "profile": False}
+    options = {**BRIEF, "seed": 1}
     fit = identify(runs, "bingham", **options)
     assert any(warning.startswith("The held-out error of run1, run2 is too large:") for warning in fit.warnings)
     for index, result in enumerate(fit.held_out):

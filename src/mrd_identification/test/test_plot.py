@@ -4,12 +4,11 @@ import base64
 import json
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from in_process import run_mrd
 
 from mrd_base.linked_plots import Line, Panel, linked_plots, script
 from mrd_identification.plot import write_plot
@@ -91,12 +90,7 @@ def test_one_run_is_grey_and_the_predictions_have_colours():
     [(["no.csv"], "no.csv: no such file"), ([str(EXAMPLE / "1_multisine.csv"), "x.py"], "x.py: no such file")],
 )
 def test_what_cannot_be_read_is_one_line(tmp_path, arguments, message):
-    done = subprocess.run(
-        [sys.executable, "-m", "mrd_cli.cli.mrd", "plot", *arguments, "--output", str(tmp_path / "out")],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_mrd("plot", *arguments, "--output", tmp_path / "out")
     assert done.returncode == 2
     assert message in done.stderr
 

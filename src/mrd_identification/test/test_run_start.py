@@ -68,7 +68,7 @@ def test_a_preloaded_run_gets_the_start_that_gives_its_force(direction, most):
 def test_a_cut_recording_is_identified_like_a_whole_one(skip):
     runs = [recorded(f"{current:g}", 1.0, current, skip=skip, seed=k) for k, current in enumerate((0.0, 0.3, 0.6))]
     runs.append(recorded("small", 0.02, 0.3, skip=skip, seed=9))
-    fit = identify(runs, "bouc_wen", seeds=1, generations=8, profile=False)
+    fit = identify(runs, "bouc_wen", seeds=1, population=16, generations=8, profile=False)
     found = dict(zip(fit.model.names, fit.theta, strict=True))
     for result in fit.fitted:
         assert np.std(result.measured_counted - result.modelled_counted) < 1.5 * NOISE, result.run.name

@@ -1,10 +1,8 @@
 """Crop, low-pass filter and decimation on import."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
+from in_process import run_mrd
 
 from mrd_runs import read_runs
 
@@ -24,8 +22,7 @@ def file(tmp_path):
 
 def import_(file, *options):
     output = file.parent / "bags"
-    command = [sys.executable, "-m", "mrd_cli.cli.mrd", "import", str(file), "--output", str(output), *options]
-    return subprocess.run(command, capture_output=True, text=True, check=False), output / "rig"
+    return run_mrd("import", file, "--output", output, *options), output / "rig"
 
 
 def test_a_part_is_kept(file):
