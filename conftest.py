@@ -10,6 +10,7 @@ import pytest
 from hypothesis import settings
 
 try:
+    from mrd_base import figures
     from mrd_base.domain import claim_domain
     from mrd_runs import Run
     from mrd_sim import stale_kernels
@@ -31,6 +32,22 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, lambda _number, _frame: None)  # the suite itself outlives its terminal
 stale_kernels.delete_stale_kernels(Path(__file__).parent / "src")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def drawn_once() -> Iterator[None]:
+    """The pages of many tests have figures in common; each is drawn once. The same figure has the same drawing."""
+    draw, drawings = figures.draw, {}
+
+    def draw_once(figure: Any, width: float) -> str:
+        key = hash((figure.to_json(), width))
+        if key not in drawings:
+            drawings[key] = draw(figure, width)
+        return drawings[key]
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(figures, "draw", draw_once)
+        yield
 
 
 @pytest.fixture

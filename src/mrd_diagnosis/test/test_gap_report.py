@@ -15,7 +15,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError
-from mrd_base import figures as drawn_figures
 from mrd_base.json_file import read_schema
 from mrd_diagnosis.cli.diagnose import print_summary
 from mrd_diagnosis.decision.candidates import list_alternatives
@@ -58,23 +57,6 @@ from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, load_effects
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
-
-
-@pytest.fixture(autouse=True, scope="module")
-def drawn_once():
-    """The pages of these tests have most figures in common; each is drawn once. The same figure has the same drawing."""
-    draw, drawings = drawn_figures.draw, {}
-
-    def draw_once(figure, width):
-        key = figure.to_json(), width
-        if key not in drawings:
-            drawings[key] = draw(figure, width)
-        return drawings[key]
-
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(drawn_figures, "draw", draw_once)
-        yield
-
 
 NOISE = 3.0
 NAN = Interval(float("nan"))
