@@ -46,24 +46,32 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageBench]:
         bench.close()
 
 
-@pytest.fixture
-def page(bench: PageBench) -> Iterator[Any]:
-    """A browser that has opened the page and holds control."""
-    yield from open_page(bench)
-
-
-def open_page(bench: PageBench, **options: Any) -> Iterator[Any]:
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page(**{"viewport": {"width": 1280, "height": 800}, **options})
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(bench: PageBench, browser: Any) -> Iterator[Any]:
+    """A window that has opened the page and holds control."""
+    yield from open_page(bench, browser)
+
+
+def open_page(bench: PageBench, browser: Any, **options: Any) -> Iterator[Any]:
+    page = browser.new_page(**{"viewport": {"width": 1280, "height": 800}, **options})
+    try:
         page.goto(bench.url)
         take_control(page)
         yield page
-        # The next browser takes control at once; the test that kills the page has nothing to give back.
+        # The next one takes control at once; the test that kills the page has nothing to give back.
         if page.get_by_role("button", name="Release control").count() and bench.answers():
             page.get_by_role("button", name="Release control").click()
             page.get_by_role("button", name="Take control").wait_for(timeout=ANSWER_TIMEOUT)
-        browser.close()
+    finally:
+        page.close()
 
 
 def import_examples(bench: PageBench) -> None:
@@ -203,8 +211,8 @@ def test_plots_that_stand_still_say_why_and_go_on(bench: PageBench, page: Any) -
         page.wait_for_function(f"window.mrdFrames > {before + 5}", timeout=ANSWER_TIMEOUT)
 
 
-def test_the_theme_follows_the_system_until_it_is_changed(bench: PageBench) -> None:
-    for page in open_page(bench, color_scheme="dark"):
+def test_the_theme_follows_the_system_until_it_is_changed(bench: PageBench, browser: Any) -> None:
+    for page in open_page(bench, browser, color_scheme="dark"):
         page.wait_for_function("document.body.classList.contains('body--dark')", timeout=ANSWER_TIMEOUT)
         page.locator("button:has-text('contrast')").click()
         page.wait_for_function("document.body.classList.contains('body--light')", timeout=ANSWER_TIMEOUT)
@@ -297,11 +305,11 @@ def test_the_guide_leads_from_dropped_files_to_a_validated_cause(bench: PageBenc
 
 
 @pytest.mark.timeout(600)
-def test_a_hybrid_test_is_chosen_recorded_and_seen(tmp_path: Path) -> None:
+def test_a_hybrid_test_is_chosen_recorded_and_seen(browser: Any, tmp_path: Path) -> None:
     bench = PageBench(tmp_path, "--control")
     try:
         bench.wait_until_up()
-        for page in open_page(bench):
+        for page in open_page(bench, browser):
             open_tab(page, "Control")
             page.get_by_role("button", name="Add to queue").last.click()
             page.get_by_text("waits in the queue").first.wait_for(timeout=200_000)
@@ -363,7 +371,7 @@ def test_a_run_goes_on_when_the_page_is_closed_or_killed(bench: PageBench, page:
     assert bench.process.poll() is None
 
 
-def test_ten_thousand_recordings_are_listed_searched_and_turned(tmp_path: Path) -> None:
+def test_ten_thousand_recordings_are_listed_searched_and_turned(browser: Any, tmp_path: Path) -> None:
     bench, name = PageBench(tmp_path), EXAMPLES[0]
     try:
         import_examples(bench)
@@ -374,7 +382,7 @@ def test_ten_thousand_recordings_are_listed_searched_and_turned(tmp_path: Path) 
             for file in files:
                 os.link(file, folder / file.name)
         bench.wait_until_up()
-        for page in open_page(bench):
+        for page in open_page(bench, browser):
             server, search = psutil.Process(bench.page_process()), page.get_by_label("search name")
             begun = time.monotonic()
             open_tab(page, "Runs")
@@ -389,10 +397,10 @@ def test_ten_thousand_recordings_are_listed_searched_and_turned(tmp_path: Path) 
             search.fill("")
             page.get_by_text("10002 found", exact=True).wait_for(timeout=ANSWER_TIMEOUT)
             load = sum(server.cpu_times()[:2])
-            page.wait_for_timeout(10_000)
+            page.wait_for_timeout(2000)
             load = sum(server.cpu_times()[:2]) - load
             print(f"listed {listed - begun:.2f} s, found {found - listed:.2f} s, turned {turned - found:.2f} s")
-            print(f"server while the list is seen: {10 * load:.0f} % of a core")
+            print(f"server while the list is seen: {50 * load:.0f} % of a core")
             assert turned - begun < 30.0
     finally:
         bench.close()
