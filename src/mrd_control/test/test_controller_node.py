@@ -62,18 +62,25 @@ class Bench:
         return future.result()
 
 
-@pytest.fixture
-def bench():
-    rclpy.init()
+@pytest.fixture(scope="module")
+def controller():
     command = ["ros2", "run", "mrd_control", "controller", "--ros-args", "-r", "__ns:=/test"]
     process = subprocess.Popen([*command, "-p", "deadline_ms:=1.0", "-p", "stale_ms:=130.0"])
-    bench = Bench()
-    yield bench
-    assert process.poll() is None, "the controller has ended"
+    yield process
     process.send_signal(signal.SIGTERM)
-    process.wait(20)
-    bench.node.destroy_node()
-    rclpy.shutdown()
+    process.wait(60)
+
+
+@pytest.fixture
+def bench(controller):
+    rclpy.init()
+    try:
+        bench = Bench()
+        yield bench
+        assert controller.poll() is None, "the controller has ended"
+        bench.node.destroy_node()
+    finally:
+        rclpy.shutdown()
 
 
 @pytest.mark.timeout(300)

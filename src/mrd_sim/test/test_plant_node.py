@@ -36,10 +36,14 @@ class Graph:
         self.node.create_subscription(JointState, "plant/true_state", self.states.append, 10)
         self.output = self.node.create_publisher(AnalogOutput, "analog_output", LATCHED)
         self.client = self.node.create_client(SetParameters, "plant/set_parameters")
-        self.until(lambda: self.blocks and self.states and self.client.service_is_ready(), 20)
+        try:
+            self.until(lambda: self.blocks and self.states and self.client.service_is_ready())
+        except BaseException:
+            self.end()  # or ROS could not be started for the next test
+            raise
 
-    def until(self, condition, timeout=5.0):
-        deadline = time.monotonic() + timeout
+    def until(self, condition):
+        deadline = time.monotonic() + 60.0
         while not condition():
             assert time.monotonic() < deadline, "nothing came"
             assert self.process.poll() is None, self.process.stderr.read()
@@ -60,7 +64,7 @@ class Graph:
         self.node.destroy_node()
         rclpy.try_shutdown()
         self.process.send_signal(signal.SIGINT)
-        return self.process.communicate(timeout=10)
+        return self.process.communicate(timeout=60)
 
 
 @pytest.fixture
@@ -139,7 +143,7 @@ def test_time_waits_for_nothing_but_its_pace(tmp_path):
 
 def test_a_link_that_is_taken_is_one_line(tmp_path):
     (tmp_path / "motor").write_text("precious")
-    node = subprocess.run([*NODE, "-p", f"port_link:={tmp_path / 'motor'}"], capture_output=True, text=True, timeout=30)
+    node = subprocess.run([*NODE, "-p", f"port_link:={tmp_path / 'motor'}"], capture_output=True, text=True, timeout=60)
     assert node.returncode == 2
     assert node.stderr.startswith("error: port_link ")
     assert node.stderr.count("\n") == 1
