@@ -30,6 +30,7 @@ from mrd_runs.bag import read_bag
 
 sys.path.insert(0, str(Path(__file__).parent))
 from stranger import load, rows, section
+from whole_bench import WholeBench
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/ros.md"
@@ -62,10 +63,11 @@ def test_the_names_of_the_graph_stand_in_one_place() -> None:
     assert not found
 
 
-@pytest.fixture
-def again(whole_bench: Any, tmp_path: Path) -> Iterator[Any]:
+@pytest.fixture(scope="class")
+def again(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WholeBench]:
     """The whole bench, the nodes that analyse, and a replay of a first run in a namespace of its own."""
-    with whole_bench(tmp_path, control_cycle=0.004) as bench:
+    tmp_path = tmp_path_factory.mktemp("again")
+    with WholeBench(tmp_path, control_cycle=0.004) as bench:
         first = bench.client.run_experiment(SHORT, tmp_path / "first", 0)
         assert first.success, first.message
         for package, name in (("mrd_identification", "identifier"), ("mrd_diagnosis", "diagnoser")):
@@ -86,73 +88,75 @@ def again(whole_bench: Any, tmp_path: Path) -> Iterator[Any]:
 
 
 @pytest.mark.realtime
-@pytest.mark.timeout(500)
-def test_a_stranger_gets_an_answer_to_every_name(again: Any, tmp_path: Path) -> None:
-    (tmp_path / "short.yaml").write_text(SHORT)
-    command = [sys.executable, ROOT / "tests/stranger.py", PAGE, tmp_path / "short.yaml", tmp_path / "stranger"]
-    stranger = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while stranger.poll() is None:
-        again.client.spin(lambda: False, 0.2)
-    output, errors = stranger.communicate()
-    assert stranger.returncode == 0, errors
-    report = json.loads(output)
-    assert report["wrong"] == []
-    page = PAGE.read_text()
-    assert {row["topic"] for row in rows(section(page, "topics"))} == set(report["topics"])
-    assert [name for name, count in report["topics"].items() if not count] == []
-    assert {row["service"] for row in rows(section(page, "services"))} == set(report["services"])
-    assert [name for name, (success, message) in report["services"].items() if not (success or message)] == []
-    for name in ("reset_fault", "stop", "load_experiment", "start_recording", "stop_recording"):
-        assert report["services"][name][0], (name, report["services"][name])
-    answers = report["actions"]
-    for name in ("run_experiment", "run_control", "run_set", "identify", "diagnose"):
-        assert answers[name]["good"][0] == "succeeded", answers[name]
-        assert answers[name]["good"][2] > 0, f"{name} gives no feedback"
-    status, message, _ = answers["diagnose_on_bench"]["good"]
-    assert status == "aborted"
-    assert message.startswith("budget: found 1 s of bench time, expected at least ")
-    for name in ("run_experiment", "run_set", "identify", "diagnose", "diagnose_on_bench"):
-        status, message, _ = answers[name]["cancelled"]
-        assert status == "cancelled", answers[name]
-        assert "cancelled" in message
-    for name, answer in answers.items():
-        assert answer["empty"][0] == "rejected", name
-        assert answer["empty"][1].startswith(f"{name}: "), name
-    assert report["efforts"]
-    assert set(report["efforts"]) == {1}
-    assert report["not a number"] == 0
+class TestEveryNode:
+    """Tests that share the nodes, because the start of all of them takes long."""
+
+    @pytest.mark.timeout(240)
+    def test_the_running_graph_is_the_declared_one(self, again: WholeBench) -> None:
+        """Who publishes and subscribes, and with which quality of service. The client of the fixture has ends of its own."""
+        node, running = again.client.node, set(again.processes.running)
+        # A node publishes `refusals` from its first refusal on.
+        assert not again.client.run_experiment("", Path("/nowhere"), 0).success
+        later = {"identifier", "diagnoser"}
+
+        def wrong() -> list[str]:
+            found = []
+            for topic in TOPICS:
+                name = topic.name if topic.name.startswith("/") else f"/bench/{topic.name}"
+                publishers, subscribers = node.get_publishers_info_by_topic(name), node.get_subscriptions_info_by_topic(name)
+                for infos, declared in ((publishers, topic.publishers), (subscribers, topic.subscribers)):
+                    actual, expected = {info.node_name for info in infos} & running, set(declared) & running
+                    if actual != expected and not (topic.name == "refusals" and expected - actual == later):
+                        found.append(f"{topic.name}: {sorted(actual)}, declared {sorted(expected)}")
+                for profile in (info.qos_profile for info in publishers if info.node_name in running):
+                    if (profile.reliability, profile.durability) != (topic.qos.reliability, topic.qos.durability):
+                        found.append(f"{topic.name}: {profile}")
+            return found
+
+        again.client.spin(lambda: not wrong(), 60)  # the page takes some seconds to start
+        assert wrong() == []
+
+    @pytest.mark.timeout(500)
+    def test_a_stranger_gets_an_answer_to_every_name(self, again: WholeBench, tmp_path: Path) -> None:
+        (tmp_path / "short.yaml").write_text(SHORT)
+        command = [sys.executable, ROOT / "tests/stranger.py", PAGE, tmp_path / "short.yaml", tmp_path / "stranger"]
+        stranger = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        while stranger.poll() is None:
+            again.client.spin(lambda: False, 0.2)
+        output, errors = stranger.communicate()
+        assert stranger.returncode == 0, errors
+        report = json.loads(output)
+        assert report["wrong"] == []
+        page = PAGE.read_text()
+        assert {row["topic"] for row in rows(section(page, "topics"))} == set(report["topics"])
+        assert [name for name, count in report["topics"].items() if not count] == []
+        assert {row["service"] for row in rows(section(page, "services"))} == set(report["services"])
+        assert [name for name, (success, message) in report["services"].items() if not (success or message)] == []
+        for name in ("reset_fault", "stop", "load_experiment", "start_recording", "stop_recording"):
+            assert report["services"][name][0], (name, report["services"][name])
+        answers = report["actions"]
+        for name in ("run_experiment", "run_control", "run_set", "identify", "diagnose"):
+            assert answers[name]["good"][0] == "succeeded", answers[name]
+            assert answers[name]["good"][2] > 0, f"{name} gives no feedback"
+        status, message, _ = answers["diagnose_on_bench"]["good"]
+        assert status == "aborted"
+        assert message.startswith("budget: found 1 s of bench time, expected at least ")
+        for name in ("run_experiment", "run_set", "identify", "diagnose", "diagnose_on_bench"):
+            status, message, _ = answers[name]["cancelled"]
+            assert status == "cancelled", answers[name]
+            assert "cancelled" in message
+        for name, answer in answers.items():
+            assert answer["empty"][0] == "rejected", name
+            assert answer["empty"][1].startswith(f"{name}: "), name
+        assert report["efforts"]
+        assert set(report["efforts"]) == {1}
+        assert report["not a number"] == 0
 
 
 @pytest.mark.realtime
 @pytest.mark.timeout(240)
-def test_the_running_graph_is_the_declared_one(again: Any) -> None:
-    """Who publishes and subscribes, and with which quality of service. The client of the fixture has ends of its own."""
-    node, running = again.client.node, set(again.processes.running)
-    # A node publishes `refusals` from its first refusal on.
-    assert not again.client.run_experiment("", Path("/nowhere"), 0).success
-    later = {"identifier", "diagnoser"}
-
-    def wrong() -> list[str]:
-        found = []
-        for topic in TOPICS:
-            name = topic.name if topic.name.startswith("/") else f"/bench/{topic.name}"
-            publishers, subscribers = node.get_publishers_info_by_topic(name), node.get_subscriptions_info_by_topic(name)
-            for infos, declared in ((publishers, topic.publishers), (subscribers, topic.subscribers)):
-                actual, expected = {info.node_name for info in infos} & running, set(declared) & running
-                if actual != expected and not (topic.name == "refusals" and expected - actual == later):
-                    found.append(f"{topic.name}: {sorted(actual)}, declared {sorted(expected)}")
-            for profile in (info.qos_profile for info in publishers if info.node_name in running):
-                if (profile.reliability, profile.durability) != (topic.qos.reliability, topic.qos.durability):
-                    found.append(f"{topic.name}: {profile}")
-        return found
-
-    again.client.spin(lambda: not wrong(), 60)  # the page takes some seconds to start
-    assert wrong() == []
-
-
-@pytest.mark.realtime
-@pytest.mark.timeout(240)
-def test_plots_have_scalars_and_joint_states_come_once_the_rod_is_homed(bench: Any, tmp_path: Path) -> None:
+def test_plots_have_scalars_and_joint_states_come_once_the_rod_is_homed(new_bench: Any, tmp_path: Path) -> None:
+    bench = new_bench
     joints = bench.subscribe("joint_states", *next((t.type, t.qos) for t in TOPICS if t.name == "joint_states"))
     bench.client.spin(lambda: len(bench.servo) > 20, 20)
     assert not any(state.homed for state in bench.servo)

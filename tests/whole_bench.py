@@ -1,28 +1,48 @@
 """The whole bench as processes, for the tests of this folder and the fault campaign."""
 
+import contextlib
 import dataclasses
 import re
-from collections.abc import Mapping
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping, Set
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
 
 from mrd_base.nodes.bench_node import LATCHED, RECORDED, seconds
+from mrd_base.nodes.graph import EMERGENCY_STOP
 from mrd_bench_driver.nodes.bench_client import BenchClient
 from mrd_bench_driver.processes import BenchProcesses, bench_processes, clock_of
+from mrd_diagnosis.sequential.first_set import first_set
 from mrd_interfaces.action import RunExperiment
-from mrd_interfaces.msg import ServoState, Setpoint
+from mrd_interfaces.msg import AnalogOutput, BenchState, ServoState, Setpoint
+from mrd_runs.bag_import import write_bag
+from mrd_sim.plant import read_damper
+from mrd_sim.simulate import measure_plans
+from mrd_trajectory.settings import read_settings
 
 ROOT = Path(__file__).resolve().parents[1]
 BENCH, PLANT = ROOT / "config/bench.yaml", ROOT / "config/plant.yaml"
 
 SLOW = 2e-3
 """m/s; the rod counts as stopped below it."""
+
+
+def simulate_first_round(folder: Path) -> None:
+    """Write what a diagnosis on the bench records first, simulated without the bench."""
+    damper, rng, plans = read_damper(PLANT).build(), np.random.default_rng(1), first_set(read_settings(BENCH))
+    for run in [*measure_plans(plans[:1], damper, rng), *measure_plans(plans[1:], damper, rng)]:
+        columns = {"time_s": run.time, "position_m": run.position, "current_A": run.current, "force_N": run.force}
+        write_bag(columns, [], Path("simulated"), folder / run.name)
 
 
 def without_progress(errors: str) -> list[str]:
@@ -67,21 +87,120 @@ class WholeBench:
 
     def __enter__(self) -> "WholeBench":
         self.processes.__enter__()
+        try:
+            self._connect()
+        except BaseException:
+            self.processes.close()
+            raise
+        return self
+
+    def _connect(self) -> None:
         self.client = BenchClient(watch=self.processes.check, clock=clock_of(self._folder / "motor"))
         self.client.wait_until_up(set(self.processes.specs))
         # These are created beforehand: how long ROS takes to match a client is no part of how long the rod takes to stop.
         self.plant = self.client.node.create_client(SetParameters, "plant/set_parameters")
-        self.button = self.client.node.create_publisher(Bool, "emergency_stop", LATCHED)
         self.truth: list[JointState] = self.subscribe("plant/true_state", JointState, RECORDED)
         self.servo: list[ServoState] = self.subscribe("servo_state", ServoState, RECORDED)
+        self.modes: list[BenchState] = self.subscribe("bench_state", BenchState, LATCHED)
+        self.output: list[AnalogOutput] = self.subscribe("analog_output", AnalogOutput, LATCHED)
+        self.up: set[str] = set()
+        """Nodes whose diagnostics have come."""
+        self.client.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self._actions: dict[str, ActionClient] = {}
+        self._logged: dict[str, int] = {}
+        self._lasting = [end for end, _ in self._ends()]
+        self._make_button()
         assert self.client.spin(lambda: self.plant.service_is_ready(), 10)
         self.clock = self.client.time
         self.client.let_time_pass()
-        return self
 
     def __exit__(self, *_error: object) -> None:
+        for action in self._actions.values():
+            action.destroy()
         self.client.__exit__()
         self.processes.close()
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self.up |= {status.name.partition(":")[0].rpartition("/")[2] for status in message.status}
+
+    def _ends(self) -> list[tuple[Any, Callable[[Any], object]]]:
+        """Return what the client publishes, hears and calls, each with what destroys it."""
+        node = self.client.node
+        return [
+            *((subscription, node.destroy_subscription) for subscription in node.subscriptions),
+            *((publisher, node.destroy_publisher) for publisher in node.publishers),
+            *((client, node.destroy_client) for client in node.clients),
+        ]
+
+    def _make_button(self) -> None:
+        self.button = self.client.node.create_publisher(Bool, "emergency_stop", LATCHED)
+        heard = 2 * len(set(EMERGENCY_STOP.subscribers) & set(self.processes.specs))  # reliably, and best effort
+        assert self.client.spin(lambda: self.button.get_subscription_count() >= heard, 30)
+
+    def mend(self) -> None:
+        """Bring the bench to where a test may begin: nothing is broken, every node is heard, it rests in mode idle.
+
+        A node that has ended by itself is no matter of mending. What the client made since the start is destroyed: a node
+        that starts later would hear the emergency stop of a publisher that is still there.
+        """
+        self.processes.check()
+        for end, destroy in self._ends():
+            if end not in self._lasting:
+                destroy(end)
+        self.client.let_time_pass()  # it stands still after a diagnosis
+        for process in self.processes.running.values():
+            process.send_signal(signal.SIGCONT)
+        gone = self.processes.specs.keys() - self.processes.running.keys()
+        for name in gone:
+            self.processes.start(name)
+        self.await_up(gone)
+        self.set_fault("")
+        problem = self.reset()
+        assert not problem, problem
+        self.truth.clear()
+        self.servo.clear()
+        assert self.client.spin(self._rests, 20), "the bench does not rest"
+        self._make_button()
+        self._logged = {name: self.processes.log(name).stat().st_size for name in self.processes.specs}
+
+    def _rests(self) -> bool:
+        """Whether the motor is connected, the rod stands, and the coil has no current."""
+        if not (self.truth and self.servo):
+            return False
+        true = self.truth[-1]
+        return self.servo[-1].connected and abs(true.velocity[0]) < SLOW and true.effort[1] < 0.02
+
+    def log(self, name: str) -> str:
+        """Return what a node has logged in this test."""
+        return self.processes.log(name).read_bytes()[self._logged.get(name, 0) :].decode(errors="replace")
+
+    def service(self, name: str, kind: Any = Trigger, timeout: float = 30.0, **fields: Any) -> Any:
+        client = self.client.node.create_client(kind, name)
+        assert self.client.spin(client.service_is_ready, min(timeout, 10.0), watch=False), f"no service {name}"
+        response = self.call(client, kind.Request(**fields), timeout)
+        self.client.node.destroy_client(client)
+        return response
+
+    def await_up(self, names: Set[str]) -> None:
+        """Wait for nodes that were started again. ROS takes the dead for alive for 20 s, so that services prove nothing."""
+        self.up -= names
+        assert self.client.spin(lambda: names <= self.up, 90, watch=False), f"{names - self.up} do not come up again"
+
+    def reset(self) -> str:
+        """Reset the bench; return why this fails, or ""."""
+        message, deadline = "", time.monotonic() + 60
+        while time.monotonic() < deadline:
+            try:
+                response = self.service("reset_fault")
+            except AssertionError as error:
+                message = str(error)
+                continue
+            message = response.message
+            if response.success:
+                idle = self.client.spin(lambda: self.modes[-1].mode == BenchState.IDLE, 10)
+                return "" if idle else f"mode {self.modes[-1].mode} after the reset"
+            self.client.spin(lambda: False, 0.3, watch=False)
+        return f"not reset: {message}"
 
     def subscribe(self, topic: str, message_type: type, qos: object) -> list:
         """Return the list to which the messages of a topic are appended."""
@@ -108,7 +227,9 @@ class WholeBench:
 
     def run_at_speed(self, experiment: str, bag: Path, action: str = "run_experiment") -> Any:
         """Send an experiment; return the future of its result once the rod moves fast and did so already 0.3 s ago."""
-        client = ActionClient(self.client.node, RunExperiment, action)
+        if action not in self._actions:
+            self._actions[action] = ActionClient(self.client.node, RunExperiment, action)
+        client = self._actions[action]
         assert self.client.spin(client.server_is_ready, 10)
         accepted = client.send_goal_async(RunExperiment.Goal(experiment=experiment, bag=str(bag)))
         assert self.client.spin(accepted.done, 10)
@@ -133,3 +254,46 @@ class WholeBench:
         assert seconds(truth[-1].header.stamp) > begun + 0.9 * watched
         stamps = [seconds(state.header.stamp) for state in truth if abs(state.velocity[0]) > SLOW]
         return max(stamps, default=begun) - begun
+
+
+class SharedBench:
+    """A bench that tests use one after the other. It is mended after each, and replaced where that fails.
+
+    Between two tests its time stands still, so that it takes no processor time.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the logs.
+    options
+        Of each `WholeBench`.
+    """
+
+    def __init__(self, folder: Path, **options: Any) -> None:
+        self._folder, self._options = folder, options
+        self._bench: WholeBench | None = None
+        self._count = 0
+
+    @contextlib.contextmanager
+    def lent(self) -> Iterator[WholeBench]:
+        """Lend the bench, at rest in mode idle, to a test."""
+        if self._bench is None:
+            self._count += 1
+            folder = self._folder / str(self._count)
+            folder.mkdir()
+            self._bench = WholeBench(folder, **self._options).__enter__()
+        else:
+            self._bench.clock.release()
+        try:
+            yield self._bench
+            self._bench.mend()
+            self._bench.clock.hold()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End the bench."""
+        if self._bench is not None:
+            bench, self._bench = self._bench, None
+            bench.__exit__()

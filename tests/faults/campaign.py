@@ -9,7 +9,6 @@ import dataclasses
 import random
 import re
 import shutil
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -21,21 +20,17 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
-from whole_bench import BENCH, PLANT, ROOT, WholeBench
+from whole_bench import BENCH, ROOT, WholeBench, simulate_first_round
 
 from faults.broken_machine import BrokenMachine
-from mrd_base.nodes.bench_node import LATCHED, seconds
+from mrd_base.nodes.bench_node import seconds
 from mrd_base.nodes.graph import DIAGNOSE_ON_BENCH
 from mrd_control.experiment import format_control_experiment, read_control_experiment
-from mrd_diagnosis.sequential.first_set import FIRST_SET, first_set
+from mrd_diagnosis.sequential.first_set import FIRST_SET
 from mrd_interfaces.action import DiagnoseOnBench, RunExperiment
 from mrd_interfaces.msg import BenchState
 from mrd_runs.bag import read_bag
-from mrd_runs.bag_import import write_bag
 from mrd_runs.blocks import decode_blocks
-from mrd_sim.plant import read_damper
-from mrd_sim.simulate import measure_plans
-from mrd_trajectory.settings import read_settings
 
 LONG = """
 name: long
@@ -183,15 +178,11 @@ class Bench(WholeBench):
         self.random = random.Random(seed)
         self.bag = folder
         self.told: list[str] = []
-        self.up: set[str] = set()
-        """Nodes whose diagnostics have come."""
         self.background: list[Any] = []
         """Processes that a fault has started."""
 
     def __enter__(self) -> "Bench":
         super().__enter__()
-        self.modes: list[BenchState] = self.subscribe("bench_state", BenchState, LATCHED)
-        self.client.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self.run = ActionClient(self.client.node, RunExperiment, self.action)
         self.diagnose = DIAGNOSE_ON_BENCH.client(self.client.node)
         assert self.client.spin(self.run.server_is_ready, 30)
@@ -210,20 +201,13 @@ class Bench(WholeBench):
         self.background.clear()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        super()._on_diagnostics(message)
         for status in message.status:
-            self.up.add(status.name.partition(":")[0].rpartition("/")[2])
             # The plant says which fault is injected.
             if status.level != DiagnosticStatus.OK and not status.name.endswith("plant: state"):
                 self.told.append(f"{status.name}: {status.message}")
             elif status.name.endswith("daq: state"):
                 self.told += [f"{value.key} {value.value}" for value in status.values if value.key == "lost_readings"]
-
-    def service(self, name: str, kind: Any = Trigger, timeout: float = 30.0, **fields: Any) -> Any:
-        client = self.client.node.create_client(kind, name)
-        assert self.client.spin(client.service_is_ready, min(timeout, 10.0), watch=False), f"no service {name}"
-        response = self.call(client, kind.Request(**fields), timeout)
-        client.destroy()
-        return response
 
     def send(self, experiment: str) -> Any:
         """Send an experiment; return the future of its result."""
@@ -241,10 +225,7 @@ class Bench(WholeBench):
         """Return the folder of the recordings of a first round, made without the bench: another one follows them."""
         folder = self.folder / "round_1"
         if not folder.exists():
-            damper, rng, plans = read_damper(PLANT).build(), np.random.default_rng(1), first_set(read_settings(BENCH))
-            for run in [*measure_plans(plans[:1], damper, rng), *measure_plans(plans[1:], damper, rng)]:
-                columns = {"time_s": run.time, "position_m": run.position, "current_A": run.current, "force_N": run.force}
-                write_bag(columns, [], Path("simulated"), folder / run.name)
+            simulate_first_round(folder)
         return folder
 
     def send_diagnosis(self, until: Callable[[Any], bool]) -> Any:
@@ -335,25 +316,7 @@ class Bench(WholeBench):
         if name in self.processes.running:
             self.processes.kill(name)
         self.processes.start(name)
-        # ROS takes the dead for alive for 20 s, so that its services prove nothing.
-        self.up.discard(name)
-        assert self.client.spin(lambda: name in self.up, 90, watch=False), f"{name} does not come up again"
-
-    def reset(self) -> str:
-        """Reset the bench; return why this fails, or ""."""
-        message, deadline = "", time.monotonic() + 60
-        while time.monotonic() < deadline:
-            try:
-                response = self.service("reset_fault")
-            except AssertionError as error:
-                message = str(error)
-                continue
-            message = response.message
-            if response.success:
-                idle = self.client.spin(lambda: self.modes[-1].mode == BenchState.IDLE, 10)
-                return "" if idle else f"mode {self.modes[-1].mode} after the reset"
-            self.client.spin(lambda: False, 0.3, watch=False)
-        return f"not reset: {message}"
+        self.await_up({name})
 
     def advance(self, duration: float) -> None:
         """Let bench time pass."""
