@@ -100,6 +100,22 @@ def test_an_emergency_stop_is_told_alike_whoever_heard_it_first(visit, dashboard
     visit(work)
 
 
+def test_a_hint_finds_its_element_also_on_a_tab_that_one_does_not_see(visit, dashboard, new_bag) -> None:
+    """A hint that names its element is lost where the browser has taken the tab out of the document."""
+    new_bag(dashboard.recordings.folder / "sine")
+
+    async def work(user: User) -> None:
+        user.find("Runs").click()
+        await user.should_see(marker="more sine", retries=50)
+        hints = [element for element in user.client.elements.values() if element.tag == "q-tooltip"]
+        texts = {hint.text: hint for hint in hints if isinstance(hint, ui.tooltip)}
+        assert all("target" not in hint.props for hint in hints)
+        (more,) = user.find(marker="more sine").elements
+        assert texts["data check, notes, download, delete"].parent_slot.parent is more
+
+    visit(work)
+
+
 def test_the_header_tells_the_run_and_its_time_left(visit, dashboard, patient) -> None:
     hear(dashboard, Mode.IDENTIFICATION, "run_experiment")
     run = dashboard.queue.add("sweep", "", 20.0)

@@ -12,7 +12,7 @@ from mrd_dashboard.apply import apply_report
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.experiment_form import preview
 from mrd_dashboard.jobs import FIT_ANYWAY, Job, JobRequest, Kind
-from mrd_dashboard.pages.notes import tell
+from mrd_dashboard.pages.notes import hint, tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
 from mrd_dashboard.recordings import Recording
 from mrd_diagnosis.diagnose import BEST_MODEL
@@ -164,9 +164,8 @@ def _form(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
     ui.label("Follow a parameter over the dates of the recordings").classes("text-base font-medium pt-2")
     follow = ui.select(followed(form["model"]), label="parameter", with_input=True, clearable=True)
     follow.props("dense").classes("w-full").bind_value(form, "follow").mark("follow")
-    ui.number("limit, in the unit of the parameter").props("dense clearable").classes("w-full").bind_value(
-        form, "limit"
-    ).tooltip("when will it be reached?").mark("limit")
+    limit = ui.number("limit, in the unit of the parameter").props("dense clearable").classes("w-full").mark("limit")
+    hint(limit.bind_value(form, "limit"), "when will it be reached?")
     ui.button("Trend", on_click=lambda: start("trend")).props("no-caps unelevated").mark("trend")
     model.on_value_change(lambda event: offer_parameters(event.value))
     for field in fields:

@@ -21,7 +21,7 @@ from mrd_dashboard.hybrid_form import (
 )
 from mrd_dashboard.hybrid_view import LEAST, WINDOW
 from mrd_dashboard.jobs import JobRequest
-from mrd_dashboard.pages.notes import busy, tell
+from mrd_dashboard.pages.notes import busy, hint, tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart, fresh_chart, hybrid_panels, legend
 
 REFRESH = 1.0
@@ -60,13 +60,14 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         with entries:
             with ui.row().classes("w-full gap-3"):
                 for key, doc in NUMBERS.items():
-                    ui.input(key).bind_value(form, key).props("dense").classes("w-[9.5rem]").tooltip(doc).mark(f"test {key}")
+                    entry = ui.input(key).bind_value(form, key).props("dense").classes("w-[9.5rem]")
+                    hint(entry.mark(f"test {key}"), doc)
             for kind in ("system", "excitation"):
                 _entry(kind, form[kind], kind, draw)
             _law(form, draw)
-            ui.select([AS_SHIPPED, *_fits(dashboard)], label="damper model", value=form["damper"]).bind_value(
-                form, "damper"
-            ).props("dense").classes("w-full").tooltip("predicts the test before it runs, and inverts forces for the law")
+            damper = ui.select([AS_SHIPPED, *_fits(dashboard)], label="damper model", value=form["damper"])
+            damper.bind_value(form, "damper").props("dense").classes("w-full")
+            hint(damper, "predicts the test before it runs, and inverts forces for the law")
 
     async def look() -> HybridCheck | None:
         shown.clear()
@@ -145,9 +146,8 @@ def _law(form: dict[str, Any], draw: Callable[[], None]) -> None:
 
 def _inputs(kind: str, name: str, values: dict[str, str]) -> None:
     for field in fields(kind, name):
-        ui.input(field.key, placeholder=field.default).bind_value(values, field.key).props("dense stack-label").classes(
-            "w-[9.5rem]"
-        ).tooltip(field.doc).mark(f"{kind} {field.key}")
+        entry = ui.input(field.key, placeholder=field.default).bind_value(values, field.key)
+        hint(entry.props("dense stack-label").classes("w-[9.5rem]").mark(f"{kind} {field.key}"), field.doc)
 
 
 def _show_check(found: HybridCheck) -> None:

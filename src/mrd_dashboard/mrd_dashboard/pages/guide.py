@@ -18,7 +18,7 @@ from mrd_dashboard.import_files import import_files
 from mrd_dashboard.jobs import Job
 from mrd_dashboard.pages.analysis import RecordingsField
 from mrd_dashboard.pages.bench_diagnosis import MODEL_CHOICES, bench_diagnosis_card
-from mrd_dashboard.pages.notes import busy, tell
+from mrd_dashboard.pages.notes import busy, hint, tell
 from mrd_diagnosis.diagnose import BEST_MODEL
 
 STANDARD_SET = "characterise"
@@ -213,7 +213,7 @@ def _new_data(dashboard: Dashboard, who: Visitor, form: dict[str, Any]) -> None:
     with expansion, ui.column().classes("w-full gap-2"):
         if STANDARD_SET in sets:
             button = ui.button("Record the standard set", on_click=record).props("outline no-caps").mark("record-set")
-            button.tooltip("Adds its runs to the queue. The rod moves while they are recorded; then they are chosen.")
+            hint(button, "Adds its runs to the queue. The rod moves while they are recorded; then they are chosen.")
         upload = (
             ui.upload(multiple=True, auto_upload=True, max_file_size=LARGEST_FILE, on_multi_upload=bring)
             .props('label="drop files: text, Excel, MATLAB, HDF5, TDMS, MCAP" flat bordered')

@@ -11,7 +11,7 @@ from mrd_bench_driver.servo.status import ServoStatus
 from mrd_dashboard.bench_view import DAQ, SERVO, SILENT_AFTER, NodeHealth
 from mrd_dashboard.dashboard import CALLS, FRAME_PERIOD, Dashboard, Visitor
 from mrd_dashboard.lamps import Lamp
-from mrd_dashboard.pages.notes import tell
+from mrd_dashboard.pages.notes import hint, tell
 from mrd_dashboard.pages.plots import chart, fresh_chart, legend, live_panels
 
 REFRESH = 0.2
@@ -38,9 +38,8 @@ def _requests(dashboard: Dashboard, who: Visitor) -> None:
 
     with ui.row().classes("items-center gap-2"):
         for name, doc in CALLS.items():
-            ui.button(name, on_click=lambda name=name: ask(name)).props("outline dense no-caps padding='4px 12px'").tooltip(
-                doc
-            )
+            button = ui.button(name, on_click=lambda name=name: ask(name))
+            hint(button.props("outline dense no-caps padding='4px 12px'"), doc)
 
 
 def _plots(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:

@@ -1,4 +1,4 @@
-"""Short messages to the visitor."""
+"""Short messages to the visitor, and hints."""
 
 import contextlib
 from collections.abc import Iterator
@@ -28,6 +28,14 @@ def tell(answer: Answer) -> None:
 
     with refusal:
         timer = ui.timer(_LOOK_PERIOD, look)
+
+
+def hint(element: ui.element, text: str) -> None:
+    """Explain an element to whoever points at it."""
+    # Inside of its element, it finds it by itself. ``Element.tooltip`` searches the document for it, where no tab is that
+    # one does not see: a hint that is made there would never show.
+    with element:
+        ui.tooltip(text)
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ from nicegui import ui
 from mrd_base import InputError
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.look import HEIGHT, WIDTH, Look, curves
-from mrd_dashboard.pages.notes import tell
+from mrd_dashboard.pages.notes import hint, tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
 from mrd_dashboard.recordings import NOTES_REMEDY, Recording, make_notes, notes_form
 
@@ -150,14 +150,13 @@ def _row(recording: Recording, look: Look | None, recorded: bool, chosen: set[st
             ui.label(" · ".join(filter(None, words))).classes("text-sm opacity-80")
         if look is not None:
             icon, colour, doc = _VERDICTS["fault" if look.problem else look.verdict]
-            ui.icon(icon, color=colour).classes("text-lg").tooltip(look.problem or doc)
+            hint(ui.icon(icon, color=colour).classes("text-lg"), look.problem or doc)
         elif recorded:
-            ui.icon("fiber_manual_record", color="negative").classes("text-lg").tooltip("is being recorded")
+            hint(ui.icon("fiber_manual_record", color="negative").classes("text-lg"), "is being recorded")
         elif not recording.closed:
-            ui.icon("pending", color="warning").classes("text-lg").tooltip(_OPEN)
-        ui.button(icon="more_horiz", on_click=show).props("flat dense").tooltip("data check, notes, download, delete").mark(
-            f"more {recording.id}"
-        )
+            hint(ui.icon("pending", color="warning").classes("text-lg"), _OPEN)
+        more = ui.button(icon="more_horiz", on_click=show).props("flat dense").mark(f"more {recording.id}")
+        hint(more, "data check, notes, download, delete")
 
 
 def picture(look: Look | None) -> None:

@@ -10,7 +10,7 @@ from mrd_base import InputError
 from mrd_characterisation.damper_test import checked_serial
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.experiment_form import Preview, find_experiments, find_sets, form_of, form_text, preview, waveform_fields
-from mrd_dashboard.pages.notes import busy, tell
+from mrd_dashboard.pages.notes import busy, hint, tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
 from mrd_dashboard.pages.recordings import recordings_list
 from mrd_trajectory.experiment import read_experiment
@@ -85,7 +85,7 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         with entries:
             with ui.row().classes("w-full gap-3"):
                 for key, doc in _TOP.items():
-                    ui.input(key).bind_value(form, key).props("dense").classes("w-36").tooltip(doc).mark(key)
+                    hint(ui.input(key).bind_value(form, key).props("dense").classes("w-36").mark(key), doc)
             for channel in ("rod", "coil"):
                 _waveform(form, channel, draw)
 
@@ -146,9 +146,8 @@ def _waveform(form: dict[str, Any], channel: str, draw: Callable[[], None]) -> N
             list(WAVEFORMS), label=channel, value=chosen["waveform"], on_change=lambda event: choose(event.value)
         ).props("dense").classes("w-36").mark(f"{channel} waveform")
         for field in waveform_fields(channel, chosen["waveform"]):
-            ui.input(field.key, placeholder=field.default).bind_value(chosen, field.key).props("dense stack-label").classes(
-                "w-36"
-            ).tooltip(field.doc).mark(f"{channel} {field.key}")
+            entry = ui.input(field.key, placeholder=field.default).bind_value(chosen, field.key)
+            hint(entry.props("dense stack-label").classes("w-36").mark(f"{channel} {field.key}"), field.doc)
 
 
 def _show_preview(found: Preview) -> None:
@@ -220,16 +219,15 @@ def _queue(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> Non
             for run in reversed(queue.runs):
                 icon, colour = _STATES[run.state]
                 with ui.row().classes("w-full items-start no-wrap gap-2"):
-                    ui.icon(icon, color=colour).classes("text-lg").tooltip(run.state)
-                    ui.label(f"{run.number} {run.name}").classes(
-                        "text-sm whitespace-nowrap truncate max-w-[60%] shrink-0"
-                    ).tooltip(run.name)
+                    hint(ui.icon(icon, color=colour).classes("text-lg"), run.state)
+                    name = ui.label(f"{run.number} {run.name}")
+                    hint(name.classes("text-sm whitespace-nowrap truncate max-w-[60%] shrink-0"), run.name)
                     ui.label(run.phase or run.message).classes("grow text-sm opacity-80 break-words min-w-0")
                     if run.state in ("failed", "stopped", "done"):
                         button = ui.button(icon="replay", on_click=lambda n=run.number: act("retry", n))
-                        button.props("flat dense size=sm").tooltip("try again").mark(f"retry {run.number}")
+                        hint(button.props("flat dense size=sm").mark(f"retry {run.number}"), "try again")
                     if run.state != "running":
                         button = ui.button(icon="close", on_click=lambda n=run.number: act("remove", n))
-                        button.props("flat dense size=sm").tooltip("take out of the list")
+                        hint(button.props("flat dense size=sm"), "take out of the list")
 
     ui.timer(0.2, refresh)

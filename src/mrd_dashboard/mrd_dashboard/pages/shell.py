@@ -14,7 +14,7 @@ from mrd_dashboard.pages.control import control_page
 from mrd_dashboard.pages.dampers import dampers_page
 from mrd_dashboard.pages.guide import guide_page
 from mrd_dashboard.pages.live import REFRESH, live_page
-from mrd_dashboard.pages.notes import tell
+from mrd_dashboard.pages.notes import hint, tell
 from mrd_dashboard.pages.runs import runs_page
 from mrd_dashboard.web import LOGOUT, SESSION_OPEN, visitor
 
@@ -99,7 +99,8 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
         control = ui.button("Take control", on_click=lambda: change_control()).props(
             "outline dense no-caps color=white padding='4px 10px'"
         )
-        theme_button = ui.button(icon="contrast").props("flat dense color=white").tooltip("light or dark").mark("theme")
+        theme_button = ui.button(icon="contrast").props("flat dense color=white").mark("theme")
+        hint(theme_button, "light or dark")
         # The system may be dark without the page having been told to be.
         theme_button.on(
             "click",
@@ -107,13 +108,15 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
             js_handler="() => emit(document.body.classList.contains('body--dark'))",
         )
         if login:
-            ui.button(icon="logout").props("flat dense color=white").tooltip("log out").mark("log out").on(
+            leave = ui.button(icon="logout").props("flat dense color=white").mark("log out")
+            leave.on(
                 "click", js_handler=f"() => fetch('{LOGOUT}', {{method: 'POST'}}).finally(() => location.assign('{LOGIN}'))"
             )
+            hint(leave, "log out")
         # It stands in the header, which never scrolls away.
-        ui.button("STOP").props("color=negative size=xl unelevated padding='6px 0'").classes(
-            "mrd-stop font-bold shrink-0 w-40 max-md:w-24"
-        ).mark("stop").tooltip("Stops rod and coil at once; latched until reset fault. It needs no control.")
+        stop = ui.button("STOP").props("color=negative size=xl unelevated padding='6px 0'")
+        stop.classes("mrd-stop font-bold shrink-0 w-40 max-md:w-24").mark("stop")
+        hint(stop, "Stops rod and coil at once; latched until reset fault. It needs no control.")
     with header, ui.row().classes("w-full items-center gap-4 max-md:gap-2 no-wrap text-sm min-h-7"):
         queue = ui.label().classes("min-w-0 md:truncate max-md:leading-tight").mark("queue-state")
         release = ui.button("Resume queue", on_click=lambda: go_on()).props(
