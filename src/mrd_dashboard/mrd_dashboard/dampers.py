@@ -17,6 +17,8 @@ from mrd_identification.fit_file import fitted_sources
 
 FILES = ("sheet.html", "sheet.pdf", "characterisation.html", "acceptance.json", "characterisation.json")
 """Files of a test that the page serves."""
+DIAGNOSIS, REPORT = "diagnosis", "gap_report.html"
+"""Folder within that of a test, and the report therein, that the command which finds the cause of a failure writes."""
 
 _FITS = {"identify": "fit.json", "diagnose": "gap_report.json"}
 
@@ -94,15 +96,17 @@ class Dampers:
             When there is none; a path that leads elsewhere is none.
         """
         path = self.folder.joinpath(*test.split("/"), name)
-        if name not in FILES or "\0" in test or path.resolve() != path or not path.is_file():
+        if name not in (*FILES, REPORT) or "\0" in test or path.resolve() != path or not path.is_file():
             raise InputError(
                 f"{test[:200]}: no test below {self.folder} has this name and {name[:40]}; look at the list again"
             )
         return path
 
-    def files(self, test: Entry) -> list[str]:
-        """Return which of `FILES` a test has."""
-        return [name for name in FILES if (test.file.parent / name).is_file()]
+    def files(self, test: Entry) -> dict[str, str]:
+        """Return which of `FILES` a test has, and the diagnosis of its failure; for each its folder, as `file` takes it."""
+        folder, place = test.file.parent, self.name(test)
+        files = {name: place for name in FILES if (folder / name).is_file()}
+        return files | ({REPORT: f"{place}/{DIAGNOSIS}"} if (folder / DIAGNOSIS / REPORT).is_file() else {})
 
 
 def _changes(folder: Path) -> dict[Path, int]:

@@ -23,18 +23,26 @@ from mrd_characterisation.limits import Limit
 from mrd_dashboard.dampers import Damper, analyses_of, numbers_of, summaries
 from mrd_dashboard.dashboard import Dashboard
 from mrd_dashboard.jobs import Job, JobRequest
-from mrd_dashboard.pages.dampers import trend_chart
+from mrd_dashboard.pages.dampers import most_telling, trend_chart
 from mrd_dashboard.recordings import Notes
 from mrd_runs import Run
 
 START = datetime(2026, 1, 1, tzinfo=UTC)
 
 
-def write_test(folder: Path, serial: str, gas_force: float, *, day: float | None = 0.0, runs: tuple[str, ...] = ()) -> None:
-    """Write an acceptance of a damper whose gas force may be 40 to 60 N, with an interval of ±1 N."""
+def write_test(
+    folder: Path,
+    serial: str,
+    gas_force: float,
+    *,
+    seal_drag: float = 12.0,
+    day: float | None = 0.0,
+    runs: tuple[str, ...] = (),
+) -> None:
+    """Write an acceptance of a damper whose gas force may be 40 to 60 N and seal drag up to 20 N, with intervals of ±1 N."""
     values = (
         Value("gas_force", gas_force, gas_force - 1, gas_force + 1, 1.0, 5, 1, "", 0.0),
-        Value("seal_drag", 12.0, 11.0, 13.0, 1.0, 5, 1, "", 0.0),
+        Value("seal_drag", seal_drag, seal_drag - 1, seal_drag + 1, 1.0, 5, 1, "", 0.0),
     )
     limits = [Limit("gas_force", 40.0, 60.0), Limit("seal_drag", upper=20.0)]
     samples = np.arange(10.0)
@@ -124,6 +132,13 @@ def test_the_trend_has_the_numbers_over_days_with_their_limits(tested: Dashboard
     assert statistic.slope[0] == pytest.approx(-0.5)
 
 
+def test_a_number_beyond_its_limits_is_drawn_first(tested: Dashboard) -> None:
+    runs = tested.dampers.folder
+    assert most_telling(numbers_of(runs, look(tested)["SN-2"])) == "gas force, 0 A"
+    write_test(runs / "SN-2-b", "SN-2", 50.0, seal_drag=25.0)
+    assert most_telling(numbers_of(runs, Damper("SN-2", look(tested)["SN-2"].tests[:1]))) == "seal drag, 0 A"
+
+
 def test_a_test_without_a_date_is_not_drawn(tested: Dashboard) -> None:
     statistic = numbers_of(tested.dampers.folder, look(tested)["SN-2"]).statistics[0]
     assert math.isnan(statistic.times[0])
@@ -173,7 +188,10 @@ def test_a_thousand_dampers_are_listed_at_once(dashboard: Dashboard) -> None:
 
 
 def test_a_damper_is_chosen_and_its_numbers_are_followed(tested: Dashboard, visit) -> None:
-    (tested.dampers.folder / "SN-1-c/reports/sheet.html").touch()
+    reports = tested.dampers.folder / "SN-1-c/reports"
+    (reports / "sheet.html").touch()
+    (reports / "diagnosis").mkdir()
+    (reports / "diagnosis/gap_report.html").touch()
 
     async def work(user: User) -> None:
         user.find("Dampers").click()
@@ -190,6 +208,9 @@ def test_a_damper_is_chosen_and_its_numbers_are_followed(tested: Dashboard, visi
         await user.should_see("change per 30 days -15 N")
         (link,) = user.find(marker="sheet.html").elements
         assert (link.props["href"], link.props["target"]) == ("/test/sheet.html/SN-1-c/reports", "_blank")
+        (link,) = user.find(marker="gap_report.html").elements  # as the command that finds the cause writes it
+        assert link.props["href"] == "/test/gap_report.html/SN-1-c/reports/diagnosis"
+        assert tested.dampers.file("SN-1-c/reports/diagnosis", "gap_report.html") == reports / "diagnosis/gap_report.html"
         (plot,) = user.find(marker="trend of a damper").elements
         assert plot.options["dataset"]["source"]["gas force_N"] == [50.0, 45.0, 35.0]
         (number,) = user.find(marker="number").elements

@@ -22,7 +22,7 @@ ROWS = 15
 MOST_SHOWN = 20
 """Tests, recordings and analyses of a damper that are listed, the latest of each."""
 FOLLOWED = ("gas_force", "seal_drag", "peak_force")
-"""Quantities of which the first that was measured is drawn, until somebody chooses another number."""
+"""Quantities of which the first is drawn that the latest test has beyond its limits, else the first that was measured."""
 
 _LIGHTS = {
     "pass": ("check_circle", "positive"),
@@ -44,6 +44,12 @@ _COLUMNS = [
 _VERDICT_CELL = """
 <q-td :props="props"><q-icon :name="props.row.icon" :color="props.row.colour" size="sm" /> {{ props.row.verdict }}</q-td>
 """
+# Where there is no room, a line ends between day and time.
+_DATE_CELL = """
+<q-td :props="props">
+  <span v-for="part in props.row.date.split(' ')" class="inline-block whitespace-nowrap mr-1">{{ part }}</span>
+</q-td>
+"""
 
 
 def dampers_page(dashboard: Dashboard, _who: Visitor, shown: Callable[[], bool]) -> None:
@@ -60,6 +66,7 @@ def dampers_page(dashboard: Dashboard, _who: Visitor, shown: Callable[[], bool])
             table.props('dense flat wrap-cells no-data-label="No damper was tested yet."')
             table.classes("w-full cursor-pointer").bind_filter_from(search, "value", backward=lambda text: text or "")
             table.add_slot("body-cell-verdict", _VERDICT_CELL)
+            table.add_slot("body-cell-date", _DATE_CELL)
             table.on("rowClick", lambda event: choose(event), args=[[], ["serial"], []]).mark("tested")
             problems = ui.label().classes("text-sm text-negative whitespace-pre-line")
         details = ui.column().classes("grow min-w-0 gap-4 max-lg:w-full")
@@ -96,8 +103,11 @@ def dampers_page(dashboard: Dashboard, _who: Visitor, shown: Callable[[], bool])
                 state["drawn"] = None
                 details.clear()
             return
-        analyses = await asyncio.to_thread(analyses_of, damper, dashboard.jobs.all)
-        content = damper, [job.number for job in analyses]
+        files = dashboard.dampers.files
+        analyses, written = await asyncio.to_thread(
+            lambda: (analyses_of(damper, dashboard.jobs.all), [files(test) for test in damper.tests[:MOST_SHOWN]])
+        )
+        content = damper, [job.number for job in analyses], written
         if content == state["drawn"]:
             return
         state["drawn"] = content
@@ -145,18 +155,17 @@ def _details(dashboard: Dashboard, damper: Damper, batch: Batch, analyses: list[
         read = {test.file: test for test in batch.entries}
         for test in damper.tests[:MOST_SHOWN]:
             icon, colour = _LIGHTS[test.verdict]
-            name = dashboard.dampers.name(test)
             failed, count = read[test.file].failed, len(read[test.file].numbers)
             with ui.row().classes("w-full items-center gap-3 border-t border-gray-500/30 py-1"):
                 ui.icon(icon, color=colour).classes("text-lg")
                 words = [VERDICTS[test.verdict], f"{failed} of {count} numbers" if failed else ""]
                 ui.label(f"{_date(test)}: {', '.join(filter(None, words))}").classes("text-sm")
-                ui.label(name).classes("text-sm opacity-80 break-all grow")
-                for file in dashboard.dampers.files(test):
-                    _link(file, f"/test/{file}/{quote(name)}")
+                ui.label(dashboard.dampers.name(test)).classes("text-sm opacity-80 break-all grow")
+                for file, folder in dashboard.dampers.files(test).items():
+                    _link(file, f"/test/{file}/{quote(folder)}")
         _heading("recordings", len(damper.recordings))
         for recording in damper.recordings[:MOST_SHOWN]:
-            ui.label(f"{recording.id} · ended {recording.date}").classes("text-sm break-all")
+            ui.label(f"{recording.id} · ended {recording.date}").classes("text-sm break-words")
         _heading("fits and diagnoses", len(analyses))
         for job in analyses[:MOST_SHOWN]:
             with ui.row().classes("w-full items-center gap-3 no-wrap"):
@@ -177,22 +186,33 @@ def _link(text: str, address: str) -> None:
 def _trend(batch: Batch, state: dict[str, Any]) -> None:
     """Show one number over the dates of the tests; the choice is kept in the ``state`` of the page."""
     numbers = {statistic.title: statistic for statistic in batch.statistics}
-    if state["number"] not in numbers:
-        first = {statistic.key.quantity: statistic.title for statistic in reversed(batch.statistics)}
-        state["number"] = next((first[name] for name in FOLLOWED if name in first), batch.statistics[0].title)
+    shown = state["number"] if state["number"] in numbers else most_telling(batch)
 
-    def draw() -> None:
+    def draw(title: str) -> None:
         plot.clear()
         with plot:
-            _trend_plot(numbers[state["number"]])
+            _trend_plot(numbers[title])
+
+    def follow(event: events.ValueChangeEventArguments) -> None:
+        state["number"] = event.value
+        draw(event.value)
 
     with ui.card().classes("w-full p-3 gap-2"):
-        select = ui.select(list(numbers), label="number over the tests", with_input=True).props("dense")
-        select.classes("w-full").bind_value(state, "number").on_value_change(draw).mark("number")
+        select = ui.select(list(numbers), label="number over the tests", value=shown, with_input=True).props("dense")
+        select.classes("w-full").on_value_change(follow).mark("number")
         plot = ui.column().classes("w-full gap-1")
         for note in batch.notes:
             ui.label(note).classes("text-xs opacity-80 break-words")
-    draw()
+    draw(shown)
+
+
+def most_telling(batch: Batch) -> str:
+    """Return the title of the number that is followed until somebody chooses one; see `FOLLOWED`."""
+    latest = [statistic for statistic in batch.statistics if statistic.entries[-1] is batch.entries[-1]]
+    beyond = [statistic for statistic in latest if not statistic.lower <= statistic.values[-1] <= statistic.upper]
+    offered = beyond or batch.statistics
+    first = {statistic.key.quantity: statistic.title for statistic in reversed(offered)}
+    return next((first[name] for name in FOLLOWED if name in first), offered[0].title)
 
 
 def _trend_plot(statistic: Statistic) -> None:

@@ -93,12 +93,11 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
     header = ui.header(elevated=True).classes("flex-col gap-0 py-1 px-4 bg-slate-800 text-white")
     with header, ui.row().classes("w-full items-center gap-4 max-md:gap-2 no-wrap"):
         ui.label("Damper bench").classes("text-lg font-medium max-lg:hidden")
-        mode = ui.chip("").props("square text-color=white").classes("text-base shrink-0")
+        mode = ui.chip("").props("square text-color=white")
+        mode.classes("text-base shrink-0 max-md:text-sm max-md:mx-0 max-md:px-2")
         reason = ui.label().classes("grow text-sm min-w-0 line-clamp-2 max-md:hidden")
-        ui.space().classes("md:hidden")
-        control = ui.button("Take control", on_click=lambda: change_control()).props(
-            "outline dense no-caps color=white padding='4px 10px'"
-        )
+        control = ui.button("Take control", on_click=lambda: change_control())
+        control.props("outline dense no-caps color=white padding='4px 8px'").classes("leading-tight max-md:ml-auto")
         theme_button = ui.button(icon="contrast").props("flat dense color=white").mark("theme")
         hint(theme_button, "light or dark")
         # The system may be dark without the page having been told to be.
