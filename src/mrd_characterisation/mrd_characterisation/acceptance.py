@@ -165,7 +165,7 @@ def check_row(check: Check, view: View = BENCH) -> tuple[str, ...]:
         conditions_text(value or limit, view),
         "–" if value is None else number_text(value.value, limit.unit, view),
         "–" if math.isnan(lower) else range_text(lower, upper, limit.unit, view),
-        band_text(limit, view),
+        band_text(limit.lower, limit.upper, limit.unit, view),
         check.why(view),
     )
 

@@ -20,7 +20,7 @@ from mrd_base.notebook import html_table, text_table
 from mrd_base.text_file import read_text_file
 from mrd_characterisation import acceptance_file, characterisation_file
 from mrd_characterisation.characterisation import QUANTITIES, SAME_CURRENT, SAME_SPEED
-from mrd_characterisation.wording import conditions_text, difference_text, number_text
+from mrd_characterisation.wording import band_text, conditions_text, difference_text, number_text
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ VERDICTS = {"pass": "passed", "fail": "failed", "not_decided": "not decided", ""
 """Verdicts on a damper, and how they are written; "" where there is only a characterisation."""
 
 FEWEST_DATES = 3
-"""Distinct dates that a slope needs, so that there is scatter around it."""
+"""Days with tests that a slope needs: there is scatter around it, and it does not make months of minutes."""
 
 
 class Key(NamedTuple):
@@ -134,7 +134,7 @@ class Statistic:
 
     @property
     def slope(self) -> tuple[float, float, float] | None:
-        """Change per day with its 95 % interval; None for fewer than `FEWEST_DATES` dates."""
+        """Change per day with its 95 % interval; None for tests on fewer than `FEWEST_DATES` days."""
         return slope(self.times, self.values)
 
 
@@ -156,9 +156,9 @@ def capability(mean: float, deviation: float, lower: float, upper: float) -> tup
 
 
 def slope(times: Array, values: Array) -> tuple[float, float, float] | None:
-    """Return the slope of values over times with its 95 % interval; None for fewer than `FEWEST_DATES` times."""
+    """Return the slope of values over times in days with its 95 % interval; None for fewer than `FEWEST_DATES` of them."""
     dated = np.isfinite(times)
-    if len(np.unique(times[dated])) < FEWEST_DATES:
+    if len(np.unique(np.floor(times[dated]))) < FEWEST_DATES:
         return None
     if np.ptp(values[dated]) == 0.0:
         return 0.0, 0.0, 0.0
@@ -222,7 +222,6 @@ def statistic_row(statistic: Statistic) -> tuple[str, ...]:
     """Return a statistic as a row of a table."""
     unit, trend = statistic.unit, statistic.slope
     cp, cpk = statistic.capability
-    ends = [number_text(end, unit) if math.isfinite(end) else "" for end in (statistic.lower, statistic.upper)]
     change = "–"
     if trend:
         low, high = (difference_text(MONTH * end, unit) for end in trend[1:])
@@ -235,7 +234,7 @@ def statistic_row(statistic: Statistic) -> tuple[str, ...]:
         difference_text(statistic.deviation, unit) if len(statistic.values) > 1 else "–",
         number_text(float(statistic.values.min()), unit),
         number_text(float(statistic.values.max()), unit),
-        " to ".join(ends) if any(ends) else "–",
+        band_text(statistic.lower, statistic.upper, unit),
         *("–" if math.isnan(index) else f"{index:.2f}" for index in (cp, cpk)),
         change,
     )

@@ -4,7 +4,6 @@ import math
 from typing import Protocol
 
 from mrd_base.quantities import four_figures, range_figures
-from mrd_characterisation.limits import Limit
 from mrd_characterisation.units import BENCH, View
 
 
@@ -67,10 +66,12 @@ def _amperes(current: float) -> str:
     return f"{round(current, 3) + 0.0:g}"
 
 
-def band_text(limit: Limit, view: View = BENCH) -> str:
-    """Return the limits in words."""
-    if math.isinf(limit.upper):
-        return f"at least {number_text(limit.lower, limit.unit, view)}"
-    if math.isinf(limit.lower):
-        return f"at most {number_text(limit.upper, limit.unit, view)}"
-    return range_text(limit.lower, limit.upper, limit.unit, view)
+def band_text(lower: float, upper: float, unit: str, view: View = BENCH) -> str:
+    """Return limits in SI, of which one or both may be infinite, in words."""
+    if math.isinf(lower) and math.isinf(upper):
+        return "–"
+    if math.isinf(upper):
+        return f"at least {number_text(lower, unit, view)}"
+    if math.isinf(lower):
+        return f"at most {number_text(upper, unit, view)}"
+    return range_text(lower, upper, unit, view)

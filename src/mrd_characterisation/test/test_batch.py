@@ -82,6 +82,8 @@ def test_the_slope_is_found_inside_its_interval():
     assert slope(times, np.full(200, 5.0)) == (0.0, 0.0, 0.0)
     assert slope(np.array([0.0, 0.0, 1.0]), np.arange(3.0)) is None
     assert slope(np.array([0.0, 1.0, math.nan]), np.arange(3.0)) is None
+    # Five dampers in an hour tell nothing of a month.
+    assert slope(np.linspace(0.0, 1.0 / 24.0, 5), np.arange(5.0)) is None
 
 
 def test_a_batch_is_read_with_its_statistics(tmp_path):
