@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 MOST_OVERLAID = 10
 """Dampers, or states of one, whose lines can still be told apart on a sheet."""
 
-MOST_ROWS = 15
-"""Rows of the table for which a page has room beside the plots."""
+MOST_ROWS = 30
+"""Rows of the table for which a page has room at most beside the plots."""
 
 LARGEST_LOGO = 2**21
 """Bytes."""

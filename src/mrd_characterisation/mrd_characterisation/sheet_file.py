@@ -31,8 +31,11 @@ LONGEST_TEMPLATE = 2**20
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 
-FEWER_ROWS = (12, 9, 6, 3, 0)
+FEWER_ROWS = (27, 24, 20, 16, 12, 9, 6, 3, 0)
 """Rows of the table that are tried in turn where the page does not hold all, as below a long head or legend."""
+
+DRAWN_ROWS = 15
+"""Rows of the table for which a sheet that Matplotlib draws has room."""
 
 PATIENCE = 60.0
 """s that a browser may take to print a page; it takes about two."""
@@ -189,6 +192,7 @@ def draw_sheet(sheet: Sheet, paper: str) -> Any:
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
     from matplotlib.figure import Figure
 
+    sheet = sheet.shortened(DRAWN_ROWS)
     _, *sides = PAPERS[paper]
     width, height = (side / 25.4 for side in sides)
     figure = Figure(figsize=(width, height))

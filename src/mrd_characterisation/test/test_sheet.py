@@ -64,15 +64,17 @@ def test_a_sheet_is_one_page_of_paper(sheet, tmp_path, monkeypatch, paper, brows
     text = page.read_text()
     for told in ("SN &lt;1&gt;", "bench 1", "Ada", "68 to 86 °F", "not recorded", "<svg"):
         assert told in text
+    # The page is used as far as it has room.
+    assert text.count("<tr>") - 1 >= min(20 if browser else MOST_ROWS, len(sheet.rows))
     assert "://" not in text
     assert sorted(file.name for file in tmp_path.iterdir()) == ["sheet.html", "sheet.pdf"]
 
 
 def test_the_table_has_the_checks_that_did_not_pass_first(sheet):
     outcomes = [row[0] for row in sheet.rows]
-    assert len(outcomes) == MOST_ROWS
+    assert len(outcomes) <= MOST_ROWS
     assert outcomes[0] != "pass"
-    assert "more numbers stand in the file" in sheet.more
+    assert "more numbers stand in the file" in sheet.shortened(4).more
 
 
 def test_units_and_fields_are_those_of_the_reader(damper, tmp_path):
