@@ -1,10 +1,12 @@
 """acceptance.json: the verdict on a damper as a file; and the command that finds the cause of a failure."""
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mrd_base.json_file import finite_or_none, write_json
+from mrd_base import InputError
+from mrd_base.json_file import finite_or_none, read_json, write_json
 from mrd_base.tool import command
 from mrd_base.version import VERSION
 from mrd_characterisation.acceptance import Acceptance, Check
@@ -41,12 +43,49 @@ def write_acceptance(acceptance: Acceptance, folder: str | Path) -> Path:
 
 
 def diagnose_command(acceptance: Acceptance, folder: str | Path) -> str:
-    """Return the command that finds the cause of a failure: against the golden runs where they are still there."""
-    golden = acceptance.golden_sources
-    reference = f" --reference {shlex.join(golden)}" if golden and all(Path(source).exists() for source in golden) else ""
+    """Return the command that finds the cause of a failure: against recordings of a good damper where there are some."""
+    _, good = _good_damper(acceptance, folder)
+    reference = f" --reference {shlex.join(good)}" if good else ""
     runs = run_arguments(acceptance.characterisation.runs)
     output = shlex.quote(str(Path(folder) / "diagnosis"))
     return f"{command('mrd_diagnosis', 'diagnose')} {runs}{reference} --output {output}"
+
+
+def cause_text(acceptance: Acceptance, folder: str | Path) -> str:
+    """Return how to find the cause of a failure: the command, and what it compares the damper with."""
+    name, good = _good_damper(acceptance, folder)
+    against = f", as a difference from {name}" if good else ""
+    text = f"To find the cause{against}: {diagnose_command(acceptance, folder)}"
+    return text if good else f"{text}\n{_ALONE}"
+
+
+_ALONE = (
+    "note: This compares the recordings with a model that is fitted to them, which takes up much of what makes a damper "
+    "fail, as a loss of gas. Add --reference and the recordings of a good damper "
+    "by the same test, to find what differs from it."
+)
+
+
+def _good_damper(acceptance: Acceptance, folder: str | Path) -> tuple[str, Sequence[str]]:
+    """Return words and recordings of the golden damper, else of the latest one beside that passed by the same limits."""
+    if _are_there(acceptance.golden_sources):
+        return "the golden damper", acceptance.golden_sources
+    place = Path(folder).resolve()
+    # Beside this folder as `accept` writes it, or beside the recordings in which it is, as `bench` writes it.
+    beside = {*place.parent.glob("*/acceptance.json"), *place.parent.parent.glob(f"*/{place.name}/acceptance.json")}
+    for file in sorted(beside - {place / "acceptance.json"}, key=lambda file: -file.stat().st_mtime):
+        try:
+            test = read_json(file, "mrd_characterisation", "acceptance", SCHEMA)
+        except InputError:
+            continue
+        runs = [run["source"] or "" for run in test["runs"]]
+        if test["verdict"] == "pass" and test["reference"]["text"] == acceptance.reference and _are_there(runs):
+            return f"{test['serial']}, which passed", runs
+    return "", ()
+
+
+def _are_there(sources: Sequence[str]) -> bool:
+    return bool(sources) and all(source and Path(source).exists() for source in sources)
 
 
 def _check(check: Check) -> dict[str, Any]:

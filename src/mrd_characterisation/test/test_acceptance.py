@@ -12,7 +12,7 @@ from mrd_base import InputError
 from mrd_base.json_file import read_json
 from mrd_characterisation import Characterisation, Value, characterise
 from mrd_characterisation.acceptance import Check, accept, characterise_for
-from mrd_characterisation.acceptance_file import SCHEMA, diagnose_command, write_acceptance
+from mrd_characterisation.acceptance_file import SCHEMA, cause_text, diagnose_command, write_acceptance
 from mrd_characterisation.damper_test import DamperTest, damper_test
 from mrd_characterisation.limits import Limit, golden_limits
 
@@ -176,6 +176,34 @@ def test_the_file_is_valid_and_names_the_command_that_finds_the_cause(tmp_path, 
     there = replace(acceptance, golden_sources=(str(tmp_path / "golden 1.csv"),))
     assert f"--reference '{tmp_path}/golden 1.csv' --output {tmp_path}/diagnosis" in diagnose_command(there, tmp_path)
     assert json.loads(write_acceptance(accept(golden, limits[:3], TEST), tmp_path).read_text())["next_command"] is None
+
+
+@pytest.mark.parametrize("reports", ["", "reports"])
+def test_a_failed_damper_is_compared_with_one_beside_that_passed_by_the_same_limits(tmp_path, golden, reports):
+    """By its recordings alone, a loss of gas is no gap: the model that is fitted to them takes it up."""
+
+    def judge(serial: str, lower: float, reference: str = "the limits of a.yaml") -> str:
+        run = replace(golden.runs[0], info={"source": str(tmp_path / f"{serial}.csv")})
+        characterisation = replace(golden, runs=(run,))
+        acceptance = accept(characterisation, [Limit("gas_force", lower)], DamperTest(serial), reference=reference)
+        folder = tmp_path / serial / reports
+        folder.mkdir(parents=True, exist_ok=True)
+        write_acceptance(acceptance, folder)
+        return cause_text(acceptance, folder)
+
+    assert "Add --reference and the recordings of a good damper" in judge("SN-1", 1e6)
+    judge("SN-2", -1e6, "the limits of another.yaml")
+    judge("SN-3", -1e6)
+    for serial in ("SN-2", "SN-4"):
+        (tmp_path / f"{serial}.csv").touch()
+    # The recordings of SN-3 are not there, SN-2 was judged by other limits, and SN-4 is the damper itself.
+    judge("SN-4", -1e6)
+    assert "Add --reference" in judge("SN-4", 1e6)
+    (tmp_path / "SN-3.csv").touch()
+    text = judge("SN-4", 1e6)
+    assert text.startswith("To find the cause, as a difference from SN-3, which passed: ")
+    assert f"--reference {tmp_path}/SN-3.csv --output {tmp_path / 'SN-4' / reports}" in text
+    assert "\n" not in text
 
 
 @pytest.mark.parametrize("serial", ["", " ", "..", "a/b", "a\\b", "C:x", "a\nb", "x" * 101])

@@ -325,7 +325,7 @@ def _report(session: Session) -> None:
         return
     print(f"{len(recordings)} recordings of damper tests: {session.output}")
     # Plots and tables are slow to import, and only tests of dampers need them.
-    from mrd_characterisation.acceptance_file import diagnose_command
+    from mrd_characterisation.acceptance_file import cause_text
     from mrd_characterisation.reports import write_reports
 
     folder = session.output / "reports"
@@ -335,9 +335,12 @@ def _report(session: Session) -> None:
         print(f"no reports: {error}", file=sys.stderr)
         return
     print((reports.acceptance or reports.characterisation).sentence)
+    failed = reports.acceptance if reports.acceptance and reports.acceptance.verdict == "fail" else None
+    if failed:
+        print(failed.worst_sentence())
     print(*reports.paths, sep="\n")
-    if reports.acceptance and reports.acceptance.verdict == "fail":
-        print(f"To find the cause: {diagnose_command(reports.acceptance, folder)}")
+    if failed:
+        print(cause_text(failed, folder))
 
 
 def _judged_by(arguments: argparse.Namespace, has_tests: bool) -> "tuple[str | None, Reference | None]":

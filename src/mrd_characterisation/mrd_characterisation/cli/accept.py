@@ -10,7 +10,7 @@ from mrd_base import run_tool
 from mrd_base.console import print_table
 from mrd_base.json_file import make_folder
 from mrd_characterisation.acceptance import HEAD, accept, characterise_for, check_row
-from mrd_characterisation.acceptance_file import diagnose_command, write_acceptance
+from mrd_characterisation.acceptance_file import cause_text, write_acceptance
 from mrd_characterisation.cli.options import add_serial, add_test_arguments, errors_in, read_test, write_asked_sheet
 from mrd_characterisation.reference import read_reference
 from mrd_characterisation.units import UNITS, View
@@ -56,7 +56,7 @@ def work() -> None:
     if acceptance.verdict == "not_decided" and any(check.outcome == "not_decided" for check in open_checks):
         print("To decide what is not decided: record more cycles, and judge these and the new recordings together.")
     if acceptance.verdict == "fail":
-        print(f"To find the cause: {diagnose_command(acceptance, folder)}")
+        print(cause_text(acceptance, folder))
     if acceptance.verdict != "pass":
         sys.exit(NOT_PASSED)
 
