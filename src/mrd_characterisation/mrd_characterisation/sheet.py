@@ -126,6 +126,8 @@ def make_sheet(
     if acceptance:
         head: tuple[str, ...] = ("verdict", "number", "at", "value", "95 % interval", "limits", "why")
         rows = [check_row(check, view) for check in acceptance.by_outcome]
+        if acceptance.verdict == "pass":  # there is no why, and the other columns need its room
+            head, rows = head[:-1], [row[:-1] for row in rows]
         sentence = " ".join(filter(None, (acceptance.sentence, acceptance.worst_sentence(view))))
     else:
         head = ("number", "at", "value", "95 % interval", "cycles")

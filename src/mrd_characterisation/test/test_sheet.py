@@ -77,6 +77,14 @@ def test_the_table_has_the_checks_that_did_not_pass_first(sheet):
     assert "more numbers stand in the file" in sheet.shortened(4).more
 
 
+def test_a_sheet_tells_why_only_where_something_did_not_pass(sheet, damper):
+    assert sheet.head[-1] == "why"
+    passed = make_sheet([damper], TEST, accept(damper, golden_limits(damper.values, 0.1), TEST))
+    assert passed.verdict == "pass"
+    assert "why" not in passed.head
+    assert {len(row) for row in passed.rows} == {len(passed.head)}
+
+
 def test_units_and_fields_are_those_of_the_reader(damper, tmp_path):
     logo = tmp_path / "logo.png"
     logo.write_bytes(PIXEL)
