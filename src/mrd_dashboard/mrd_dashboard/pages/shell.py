@@ -97,7 +97,7 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
         mode.classes("text-base shrink-0 max-md:text-sm max-md:mx-0 max-md:px-2")
         reason = ui.label().classes("grow text-sm min-w-0 line-clamp-2 max-md:hidden")
         control = ui.button("Take control", on_click=lambda: change_control())
-        control.props("outline dense no-caps color=white padding='4px 8px'").classes("leading-tight max-md:ml-auto")
+        control.props("outline dense no-caps color=white padding='4px 8px'").classes("max-md:ml-auto")
         theme_button = ui.button(icon="contrast").props("flat dense color=white").mark("theme")
         hint(theme_button, "light or dark")
         # The system may be dark without the page having been told to be.
