@@ -150,6 +150,12 @@ class WholeBench:
         self.client.let_time_pass()  # it stands still after a diagnosis
         for process in self.processes.running.values():
             process.send_signal(signal.SIGCONT)
+        # The time of the bench goes on without a node that was paused: it would be late for ever.
+        left_behind = set(
+            re.findall(r"(\w+) (?:was stopped|hangs|has not finished).*; the bench goes on", self.log("plant"))
+        )
+        for name in left_behind & self.processes.running.keys():
+            self.processes.kill(name)
         gone = self.processes.specs.keys() - self.processes.running.keys()
         for name in gone:
             self.processes.start(name)

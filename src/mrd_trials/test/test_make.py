@@ -93,19 +93,25 @@ def test_an_undetectable_effect_of_a_pair_is_substituted():
 
 
 def test_effects_beside_a_black_box_are_as_strong_over_its_own_noise_as_their_target():
-    # A fitted model hides most of an error of the current; a simulator that nobody refits does not.
-    design = PlantDesign("p0001", "single", parse_tier("black_box@100"), (5, 1), "dahl", ("current_sensor_error",), (5.0,))
-    session = BenchSession.from_design(design)
+    design = PlantDesign("p0001", "single", parse_tier("black_box@100"), (5, 1), "dahl", ("force_sensor_lag",), (5.0,))
     truth, runs, simulated = make_plant(design)
     assert 3.0 < truth.signal_to_floor < 8.0
     given = runs[:-FRESH_RUNS]
     off = [np.std(run.force - np.interp(run.time, sim.time, sim.force)) for run, sim in zip(given, simulated, strict=True)]
+    session = BenchSession.from_design(design)
     quiet = session.given_runs({})
     noise = [
         np.std(run.force - np.interp(run.time, sim.time, sim.force))
         for run, sim in zip(quiet, session.simulated_runs(quiet), strict=True)
     ]
     assert np.sum(np.square(off)) > 2.0 * np.sum(np.square(noise))
+    strength_of = session.strength_beside_simulator()
+    assert strength_of({}) == 0.0
+    # The damper's own stiffness does what a linear spring of gas does.
+    spring = {"gas_spring": {"stiffness": 2000.0, "curvature": 5.0}}
+    added = [run.force - other.force for run, other in zip(session.given_runs(spring), quiet, strict=True)]
+    assert np.sum(np.square([np.std(force) for force in added])) > 10.0 * np.sum(np.square(noise))
+    assert strength_of(spring) < 0.5
 
 
 def test_a_folder_that_is_not_a_trial_is_refused(tmp_path):
