@@ -219,7 +219,7 @@ def test_a_folder_of_experiments_is_recorded_by_one_command(quiet_set: Path) -> 
 
 @pytest.mark.timeout(240)
 def test_a_busy_machine_makes_the_bench_slower_and_never_wrong(quiet_set: Path, tmp_path: Path) -> None:
-    """The same set on the machine as it is, and with twice as many busy processes as it has cores."""
+    """A set is recorded on the machine as it is, and again beside twice as many busy processes as it has cores."""
     with busy_loops(2 * (os.cpu_count() or 1)):
         output, errors = record_set(tmp_path, DURATIONS).communicate(timeout=120)
     assert not without_progress(errors), errors

@@ -93,7 +93,7 @@ def half_a_second_is_in(bag: Path) -> bool:
 
 
 def test_a_healthy_damper_has_no_gap_however_often_its_diagnosis_was_ended(start: Start, tmp_path: Path) -> None:
-    """By a closed terminal, by the death of the tool, and by Ctrl-C: nothing is lost, and nothing is recorded again."""
+    """A closed terminal, the death of the tool, and Ctrl-C end it. Nothing is lost, and nothing is recorded again."""
     round_1 = tmp_path / "out" / "round_1"
     first, aside = round_1 / FIRST[0], [round_1 / "incomplete" / f"{FIRST[0]}_{number}" for number in (1, 2)]
     options: tuple[str, ...] = ()

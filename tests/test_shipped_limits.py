@@ -1,10 +1,9 @@
 """The shipped limits of a damper, by simulated recordings of the shipped test."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from in_process import run_mrd
 
 from mrd_base.json_file import read_json
 from mrd_characterisation.acceptance_file import SCHEMA
@@ -18,8 +17,7 @@ def test_play_in_a_joint_fails_by_the_width_between_the_branches(tmp_path: Path,
     """It changes the forces little, because what one branch of a cycle loses the other has."""
 
     def mrd(*arguments: object) -> None:
-        command = [sys.executable, "-m", "mrd_cli.cli.mrd", *map(str, arguments)]
-        ended = subprocess.run(command, capture_output=True, text=True)
+        ended = run_mrd(*arguments)
         assert ended.returncode in (0, 1), ended.stderr  # 1: not passed, because only the sweep is recorded here
 
     recorded, plant = tmp_path / "SN-1", ROOT / "config/plant.yaml"

@@ -44,7 +44,10 @@ def write_acceptance(acceptance: Acceptance, folder: str | Path) -> Path:
 
 def diagnose_command(acceptance: Acceptance, folder: str | Path) -> str:
     """Return the command that finds the cause of a failure: against recordings of a good damper where there are some."""
-    _, good = _good_damper(acceptance, folder)
+    return _diagnose_command(acceptance, folder, _good_damper(acceptance, folder)[1])
+
+
+def _diagnose_command(acceptance: Acceptance, folder: str | Path, good: Sequence[str]) -> str:
     reference = f" --reference {shlex.join(good)}" if good else ""
     runs = run_arguments(acceptance.characterisation.runs)
     output = shlex.quote(str(Path(folder) / "diagnosis"))
@@ -55,7 +58,7 @@ def cause_text(acceptance: Acceptance, folder: str | Path) -> str:
     """Return how to find the cause of a failure: the command, and what it compares the damper with."""
     name, good = _good_damper(acceptance, folder)
     against = f", as a difference from {name}" if good else ""
-    text = f"To find the cause{against}: {diagnose_command(acceptance, folder)}"
+    text = f"To find the cause{against}: {_diagnose_command(acceptance, folder, good)}"
     return text if good else f"{text}\n{_ALONE}"
 
 

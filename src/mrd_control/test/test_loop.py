@@ -187,7 +187,7 @@ def passive(model):
 
 @pytest.mark.parametrize("predictor", PREDICTORS)
 def test_the_controller_of_the_bench_is_that_of_the_offline_twin(predictor, car, bouc_wen):
-    """With the forces and positions that the twin has measured."""
+    """It gets the forces and positions that the twin has measured."""
     actuator = Actuator(0.004, 0.001, predictor)
     base = Road("A", 20.0, seed=4).base(1500, RATE)
     law = LAWS["clipped_lqg"]

@@ -27,8 +27,10 @@ def missing_number(values: Array) -> float | None:
     """
     finite = values[np.isfinite(values)]
     for number in (float(finite.min()), float(finite.max())) if len(finite) else ():
+        if not _means_missing(number):
+            continue
         others = finite[finite != number]
-        if len(others) and _means_missing(number) and _distance(number, others) > _FAR * float(np.abs(others).max()):
+        if len(others) and _distance(number, others) > _FAR * float(np.abs(others).max()):
             return number
     return None
 

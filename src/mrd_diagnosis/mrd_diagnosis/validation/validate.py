@@ -57,7 +57,7 @@ class ValidatedRun:
     offset: float
     gain: float
     exceeds: str
-    was_fitted: bool = False
+    was_fitted: bool
 
 
 @dataclass(frozen=True)
@@ -139,9 +139,13 @@ def validate(
     before = in_threads(prepare_recording, fitted)
     results = evaluate_model(model, theta, recordings)
     validated = tuple(
-        replace(
-            _validated(result, of_run, exceeded_ranges(recording, before), offsets, gains),
-            was_fitted=any(np.array_equal(recording.run.force, run.force) for run in fitted),
+        _validated(
+            result,
+            of_run,
+            exceeded_ranges(recording, before),
+            any(np.array_equal(recording.run.force, run.force) for run in fitted),
+            offsets,
+            gains,
         )
         for result, of_run, recording in zip(results, noise, recordings, strict=True)
     )
@@ -188,7 +192,9 @@ def _corrected(damper: Damper, recordings: Sequence[Recording], simulator: Simul
     return SimulatorInLoop(simulator, damper.model, plain).corrected(damper.model, damper.theta, represented)
 
 
-def _validated(result: RunResult, noise: RunNoise, exceeds: str, offsets: bool, gains: bool) -> ValidatedRun:
+def _validated(
+    result: RunResult, noise: RunNoise, exceeds: str, was_fitted: bool, offsets: bool, gains: bool
+) -> ValidatedRun:
     """Take out offset and gain of a run where they were asked for."""
     measured, modelled = result.measured_counted, result.modelled_counted
     columns = [np.ones_like(modelled)] * offsets + [modelled] * gains
@@ -196,7 +202,7 @@ def _validated(result: RunResult, noise: RunNoise, exceeds: str, offsets: bool, 
     offset, gain = (float(found[0]) if offsets else 0.0), (float(found[-1]) if gains else 0.0)
     modelled = (1.0 + gain) * result.modelled + offset
     corrected = replace(result, modelled=modelled, metrics=metrics(measured, modelled[result.counted]))
-    return ValidatedRun(corrected, nrmse(noise.sigma, measured), offset, gain, exceeds)
+    return ValidatedRun(corrected, nrmse(noise.sigma, measured), offset, gain, exceeds, was_fitted)
 
 
 def _validation(

@@ -1,6 +1,4 @@
-"""What files that describe themselves say of a channel, in attributes or beside it: units, and scales that change what the
-numbers mean.
-"""
+"""Units and scales of channels, as files that describe themselves tell them: in attributes, or beside the channels."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
