@@ -1,9 +1,11 @@
 """Recordings of other benches and programs: each format, made by its own library, becomes a bag with the same values."""
 
 import datetime
+import io
 import sys
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -17,6 +19,7 @@ from mrd_runs import read_run
 from mrd_runs.importing import Mapped, read_foreign
 from mrd_runs.importing.integration import integrate_velocity
 from mrd_runs.importing.matlab import read_matlab_table
+from mrd_runs.importing.sheet import read_sheet_table
 from mrd_runs.importing.tdms import read_tdms_table
 
 RATE, COUNT = 500, 1000
@@ -376,6 +379,24 @@ def test_a_workbook_that_unpacks_to_too_much_is_refused(tmp_path: Path, monkeypa
     book.save(tmp_path / "a.xlsx")
     with pytest.raises(InputError, match="unpacks to more than"):
         read_foreign(tmp_path / "a.xlsx")
+
+
+def test_no_workbook_stays_open(tmp_path: Path, monkeypatch) -> None:
+    book = openpyxl.Workbook()
+    for row in np.column_stack([TIME, POSITION, FORCE])[:50].tolist():
+        book.active.append(row)
+    book.save(tmp_path / "a.xlsx")
+    opened: list[Any] = []
+    open_file = io.open
+
+    def listed(*arguments: Any, **options: Any) -> Any:
+        opened.append(open_file(*arguments, **options))
+        return opened[-1]
+
+    monkeypatch.setattr("io.open", listed)
+    read_sheet_table(tmp_path / "a.xlsx")
+    assert opened
+    assert all(file.closed for file in opened)
 
 
 @pytest.mark.parametrize("name", ["a.mat", "a.h5", "a.tdms"])

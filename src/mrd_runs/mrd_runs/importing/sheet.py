@@ -1,6 +1,7 @@
 """Tables in Excel workbooks."""
 
 import datetime
+import io
 import zipfile
 from array import array
 from collections.abc import Iterator, Sequence
@@ -45,11 +46,13 @@ def read_sheet_table(path: Path) -> Table:
     """
     openpyxl = load_extra("openpyxl", "openpyxl", "xlsx", path)
     try:
-        with zipfile.ZipFile(path) as parts:
+        # In memory, because openpyxl never closes a file of a workbook that it refuses or that is read row by row.
+        content = io.BytesIO(path.read_bytes())
+        with zipfile.ZipFile(content) as parts:
             largest = max((part.file_size for part in parts.infolist()), default=0)
         if largest > _LARGEST_PART:
             raise InputError(f"{path}: unpacks to more than {_LARGEST_PART >> 20} MiB; export it as text")
-        workbook = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        workbook = openpyxl.load_workbook(content, read_only=True, data_only=True)
         tables = {name: _locate(workbook[name]) for name in (sheet.title for sheet in workbook.worksheets)}
     except InputError:
         raise
