@@ -231,7 +231,7 @@ class Dashboard:
             # Of a set without damper tests, all runs show a damper that is named.
             judged = one.tests_damper if has_tests else bool(damper)
             self.queue.add(one.experiment.name, one.text, one.duration, damper=damper, batch=batch, tests_damper=judged)
-        return f"the {len(found)} runs of {name} wait in the queue"
+        return f"{name}: {len(found)} {'run waits' if len(found) == 1 else 'runs wait'} in the queue"
 
     def diagnose_on_bench(self, model: str, budget: float) -> str:
         """Let the bench record and diagnose in turn, while the queue waits; return one line.

@@ -116,6 +116,11 @@ class Job:
         """Its report, once it is done."""
         return self.folder / REPORTS[self.request.kind]
 
+    @property
+    def advised(self) -> Path:
+        """The experiment that a diagnosis advises; there is no such file where it advises none."""
+        return self.folder / "next_experiment.yaml"
+
 
 class Jobs:
     """Starts jobs, one at a time, and hears of their progress.

@@ -255,3 +255,33 @@ def test_a_set_that_the_guide_has_queued_is_chosen_once_it_is_recorded(visit, da
                 await asyncio.sleep(0.1)
 
     visit(work)
+
+
+def test_the_advised_experiment_is_recorded_and_joins_the_others(visit, dashboard) -> None:
+    *first, last = import_worn(dashboard)
+    guide = dashboard.guide
+    guide.choose(first)
+    for step in ("check", "fit"):
+        guide.end(step, Outcome(True, "found"))
+    guide.end("diagnose", Outcome(True, "It is unclear.", "diagnose-1"))
+    folder = dashboard.jobs.folder / "diagnose-1"
+    folder.mkdir(parents=True)
+    dashboard.jobs.all.append(Job(1, JobRequest("diagnose", (), "bingham"), folder, "done"))
+    dashboard.queue.paused = True
+
+    async def work(user: User) -> None:
+        user.find("Take control").click()
+        await user.should_see(marker="next-Validate", retries=30)
+        await user.should_not_see(marker="guide-advised")
+        shutil.copy(dashboard.experiments / "paper.yaml", folder / "next_experiment.yaml")
+        await user.should_see(marker="guide-advised", retries=30)
+        user.find(marker="guide-advised").click()
+        await user.should_see("advised experiment: 1 run waits in the queue", retries=100)
+        (run,) = dashboard.queue.runs
+        dashboard.queue.end(run.number, "done", "", str(dashboard.recordings.folder / last))
+        (field,) = user.find(marker="guide-runs").elements
+        async with asyncio.timeout(30):
+            while field.value != [*first, last]:
+                await asyncio.sleep(0.1)
+
+    visit(work)

@@ -546,7 +546,7 @@ def test_a_whole_set_goes_into_the_queue_or_none_of_it(visit, dashboard, tmp_pat
         await user.should_see("serial number is 'a/b', expected the serial number of a damper", retries=50)
         user.find(marker="set-damper").clear().type("SN-1")
         user.find(marker="add set").click()
-        await user.should_see("the 10 runs of characterise wait in the queue", retries=300)
+        await user.should_see("characterise: 10 runs wait in the queue", retries=300)
 
     visit(work)
     assert [run.name for run in dashboard.queue.runs] == [file.stem for file in sorted(last.parent.glob("*.yaml"))]
@@ -566,7 +566,7 @@ def test_the_advised_command_is_shown_and_the_advised_experiment_recorded(visit,
         user.find("Identify and diagnose").click()
         await user.should_see("mrd diagnose a.csv", retries=30)
         user.find("Record the advised experiment").click()
-        await user.should_see("waits in the queue", retries=100)
+        await user.should_see("advised experiment: 1 run waits in the queue", retries=100)
 
     visit(work)
     (run,) = dashboard.queue.runs

@@ -10,7 +10,6 @@ from nicegui import events, ui
 from mrd_base import InputError
 from mrd_dashboard.apply import apply_report
 from mrd_dashboard.dashboard import Dashboard, Visitor
-from mrd_dashboard.experiment_form import preview
 from mrd_dashboard.jobs import FIT_ANYWAY, Job, JobRequest, Kind
 from mrd_dashboard.pages.notes import hint, tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
@@ -26,6 +25,7 @@ MOST_JOBS = 20
 MOST_OFFERED = 50
 """Recordings that a field offers; typing finds the others."""
 
+RECORD_ADVISED = "Record the advised experiment"
 
 # Columns of the Pareto front.
 _E2, _EINF = "e2 = √ΣE²/k_N", "einf = max|E|/k_N"
@@ -206,16 +206,7 @@ def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
         tell(await dashboard.act(who, "apply to the simulator", work, str(job.folder)))
 
     async def record(job: Job) -> None:
-        stops = dashboard.queue.stops
-
-        async def work() -> str:
-            text = await asyncio.to_thread((job.folder / "next_experiment.yaml").read_text, encoding="utf-8")
-            found = await dashboard.compute(preview, text, dashboard.bench.generator)
-            dashboard.queue.require_no_stop_since(stops)
-            run = dashboard.queue.add(found.experiment.name, found.text, found.duration)
-            return f"run {run.number}, {found.experiment.name}, waits in the queue"
-
-        tell(await dashboard.act(who, "record the advised experiment", work, str(job.folder)))
+        await record_advised(dashboard, who, job)
 
     def open_report(job: Job) -> None:
         report.clear()
@@ -277,5 +268,16 @@ def _job_row(job: Job, open_report: Any, apply: Any, record: Any) -> None:
             )
             if job.request.kind == "diagnose":
                 ui.button("Apply to the simulator", on_click=lambda: apply(job)).props("outline dense no-caps")
-                if (job.folder / "next_experiment.yaml").is_file():
-                    ui.button("Record the advised experiment", on_click=lambda: record(job)).props("outline dense no-caps")
+                if job.advised.is_file():
+                    ui.button(RECORD_ADVISED, on_click=lambda: record(job)).props("outline dense no-caps")
+
+
+async def record_advised(dashboard: Dashboard, who: Visitor, job: Job) -> str:
+    """Put the experiment that a diagnosis advises into the queue; return the name of its set, "" where it was refused."""
+
+    async def work() -> str:
+        return await dashboard.queue_set("advised experiment", [job.advised])
+
+    answer = await dashboard.act(who, "record the advised experiment", work, str(job.folder))
+    tell(answer)
+    return dashboard.queue.runs[-1].batch if answer.success else ""

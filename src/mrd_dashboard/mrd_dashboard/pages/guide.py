@@ -16,7 +16,7 @@ from mrd_dashboard.guide import STEPS, Step
 from mrd_dashboard.guide_steps import check_recordings, start_step
 from mrd_dashboard.import_files import import_files
 from mrd_dashboard.jobs import Job
-from mrd_dashboard.pages.analysis import RecordingsField
+from mrd_dashboard.pages.analysis import RECORD_ADVISED, RecordingsField, record_advised
 from mrd_dashboard.pages.bench_diagnosis import MODEL_CHOICES, bench_diagnosis_card
 from mrd_dashboard.pages.notes import busy, hint, tell
 from mrd_diagnosis.diagnose import BEST_MODEL
@@ -45,7 +45,13 @@ _STATES = {
 def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
     """Build the page; ``shown`` tells whether it is the tab that one sees."""
     guide = dashboard.guide
-    form: dict[str, Any] = {"runs": list(guide.runs), "model": BEST_MODEL, "predicted": list(guide.held_back), "set": ""}
+    form: dict[str, Any] = {
+        "runs": list(guide.runs),
+        "model": BEST_MODEL,
+        "predicted": list(guide.held_back),
+        "set": "",  # that is recorded at the wish of this page
+        "before": [],  # runs to which it is added
+    }
     cards: dict[Step, _StepCard] = {}
 
     async def check() -> None:
@@ -69,6 +75,16 @@ def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) ->
 
         tell(await dashboard.act(who, "cancel a job", work))
 
+    def diagnosis() -> Job | None:
+        """Return the job that has diagnosed, where it is still listed."""
+        outcome = guide.outcomes.get("diagnose")
+        return next((job for job in dashboard.jobs.all if outcome and job.folder.name == outcome.folder), None)
+
+    async def record_next() -> None:
+        job = diagnosis()
+        if job is not None and (batch := await record_advised(dashboard, who, job)):
+            form["set"], form["before"] = batch, list(guide.runs)
+
     async def apply() -> None:
         report = guide.folder(dashboard.jobs.folder, "diagnose") / "gap_report.json"
 
@@ -91,6 +107,10 @@ def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) ->
         with _step(cards, "diagnose", "Validate", lambda: start("validate")):
             predicted = RecordingsField("recordings to predict, which were not fitted").props("dense use-chips")
             predicted.classes("w-full").bind_value(form, "predicted").mark("guide-predicted")
+            advised = ui.button(RECORD_ADVISED, on_click=record_next).props("outline no-caps").mark("guide-advised")
+            hint(
+                advised, "Adds it to the queue. The rod moves; then it is chosen beside the other recordings, to be checked."
+            )
         with _step(cards, "validate"):
             if dashboard.plant:
                 ui.button("Apply to the simulator", on_click=apply).props("outline no-caps").mark("guide-apply")
@@ -108,9 +128,12 @@ def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) ->
         jobs = {job.folder.name: job for job in dashboard.jobs.all}
         for step, card in cards.items():
             card.show(dashboard, step, jobs)
+        diagnosed = diagnosis()
+        advised.set_visibility(diagnosed is not None and diagnosed.advised.is_file())
         if form["set"] and (recorded := dashboard.queue.recorded_set(form["set"])):
             folder = dashboard.recordings.folder
-            form["runs"], form["set"] = [Path(run.bag).relative_to(folder).as_posix() for run in recorded], ""
+            names = [Path(run.bag).relative_to(folder).as_posix() for run in recorded]
+            form["runs"], form["set"] = [*form["before"], *names], ""
         on_bench()
 
     for card in cards.values():
@@ -189,7 +212,7 @@ def _new_data(dashboard: Dashboard, who: Visitor, form: dict[str, Any]) -> None:
         async def work() -> str:
             with busy(button):
                 answer = await dashboard.queue_set(STANDARD_SET, sets[STANDARD_SET])
-            form["set"] = dashboard.queue.runs[-1].batch
+            form["set"], form["before"] = dashboard.queue.runs[-1].batch, []
             return answer
 
         tell(await dashboard.act(who, "queue a set", work, STANDARD_SET))
