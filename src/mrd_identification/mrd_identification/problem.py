@@ -27,8 +27,9 @@ CONSTANT = 1e-12
 DIFFERENCE = 1e-5
 """Share of its range by which a parameter is moved for a difference."""
 
-LARGEST_DERIVATIVE = 1e100
-"""N. A larger one has diverged: its square may not be finite."""
+LARGEST_DERIVATIVE = 1e6
+"""Times the largest measured force. By a larger one, a millionth of a range of a parameter would change all of the force: it
+has diverged."""
 
 
 @dataclass(frozen=True)
@@ -192,8 +193,9 @@ class Problem:
             for places, columns in zip(passes, in_threads(derivatives, passes), strict=True)
             for place, column in zip(places, columns.T, strict=True)
         }
+        largest = LARGEST_DERIVATIVE * np.abs(self.force).max(initial=0.0)
         for place, column in of_force.items():
-            if not np.abs(column).max(initial=0.0) < LARGEST_DERIVATIVE:  # holds for NaN as well
+            if not np.abs(column).max(initial=0.0) <= largest:  # holds for NaN as well
                 of_force[place] = self._difference(unit, place)
         for slope, value in slopes.items():
             of_force[slope] = of_force[value] * self._constant_current * (scale[slope] / scale[value])

@@ -17,6 +17,7 @@ from mrd_sim.cli import models as tool
 from mrd_sim.current import LAWS, lagged_current
 from mrd_sim.damper import Damper
 from mrd_sim.dual_type import along
+from mrd_sim.effects import find_effects
 from mrd_sim.hysteresis import advance
 from mrd_sim.models import MODELS, find_model
 from mrd_sim.models.modified_bouc_wen import travel_of_element
@@ -119,6 +120,32 @@ def test_derivatives_agree_with_central_differences(name, examples, seed):
         # Where the force bends sharply, the shorter step is the better one; where it is large, the longer.
         limit = 1e-3 * np.max(np.abs(found)) + 1e-6 * size
         assert error(1e-5) <= limit or error(1e-7) <= limit, parameter.name
+
+
+@pytest.mark.parametrize("effects", [(), ("series_compliance",)], ids=["alone", "in series"])
+@EVERY
+def test_derivatives_agree_with_central_differences_where_the_rod_begins_at_rest(model, effects):
+    """Smoothed recordings do: before the first stroke, they move by no more than rounding."""
+    model = model.with_effects(find_effects(effects))
+    theta = model.defaults
+    if effects:
+        theta[model.names.index("series_compliance.compliance")] = 4e-7
+    time, position, velocity, acceleration, current = sine(rate=100.0, seconds=3.0)
+    share = np.exp(np.minimum(0.0, 80.0 * (time - 2.0)))  # 1e-70 at first
+    velocity = share * velocity + np.where(time < 2.0, 80.0 * share * position, 0.0)
+    # Off the middle of the stroke, where the force of some models jumps.
+    path = make_path(time, 5e-3 + share * position, velocity, share * acceleration, current)
+    size = np.max(np.abs(model.force(theta, path)))
+    for index, parameter in enumerate(model.parameters):
+        step = 1e-5 * (theta[index] if parameter.log else parameter.upper - parameter.lower)
+        direction = step * (np.arange(len(theta)) == index)
+        if not step or not parameter.lower <= theta[index] - step <= theta[index] + step <= parameter.upper:
+            continue
+        found = model.force(along(theta, direction), path).derivatives[:, 0]
+        difference = 0.5 * (model.force(theta + direction, path) - model.force(theta - direction, path))
+        assert np.quantile(np.abs(found - difference), 0.97) <= 0.01 * np.max(np.abs(difference)) + 1e-9 * size, (
+            parameter.name
+        )
 
 
 @BY_NAME

@@ -104,8 +104,8 @@ def _claims(
     rng: np.random.Generator,
 ) -> list[Claim]:
     """Return what is claimed of each cause, with what speaks against it."""
-    closed = closed_fraction_between(complete.base, complete.best, complete, rng).value
-    open_fraction = float(np.clip(1.0 - np.nan_to_num(closed), 0.0, 1.0))
+    together = closed_fraction_between(complete.base, complete.best, complete, rng)
+    open_fraction = float(np.clip(1.0 - np.nan_to_num(together.value), 0.0, 1.0))
     return [
         Claim(
             cause.effect,
@@ -114,6 +114,7 @@ def _claims(
             cause.p_value,
             cause.closed_fraction,
             open_fraction,
+            together,
             limitations=_unrefuted(cause.effect, imitating_limitations(cause.effect, findings), complete),
             clocks_agree=of_clocks is None,
             level=cause.level,

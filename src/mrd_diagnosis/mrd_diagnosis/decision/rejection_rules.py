@@ -27,6 +27,8 @@ class Claim:
         Share of the gap that it closes.
     open_fraction : float
         Share of the gap that stays open with all chosen effects.
+    closed_together : Interval
+        Share that these close; nan for an effect that is none of them.
     chosen : bool
         Whether it belongs to the best explanation.
     has_gap : bool
@@ -50,6 +52,7 @@ class Claim:
     p_value: float = float("nan")
     closed_fraction: Interval = Interval(float("nan"))
     open_fraction: float = 0.0
+    closed_together: Interval = Interval(float("nan"))
     chosen: bool = True
     has_gap: bool = True
     limitations: tuple[Finding, ...] = ()
@@ -130,6 +133,12 @@ RULES = (
         lambda claim: "clocks" in EFFECTS[claim.effect].imitated_by and not claim.clocks_agree,
     ),
     Rule("little", "it closes next to nothing of the gap", _closes_little),
+    Rule(
+        "worse",
+        "with all that would be named, your model predicts held-out data worse than without",
+        lambda claim: claim.closed_together.upper < 0.0,
+        leaves_open=True,
+    ),
     Rule(
         "on_bound",
         "its size stands at the limit of the plausible range, so that something else may be meant",

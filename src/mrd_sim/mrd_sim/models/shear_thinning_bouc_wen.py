@@ -35,7 +35,9 @@ TOLERANCE = 2e-5
 LONG = 3.0
 """Yield travels, or relaxation times of the element, within which the travel of a step is of fourth order."""
 ALMOST_STEADY = 1e-3
-"""Relative change of speed below which the mean speed is that of both ends; the exact difference would be rounding."""
+"""Change of speed, relative to it or to that of `CREEP`, below which the mean speed is that of both ends; the exact
+difference would be rounding. Slower elements are not followed through a reversal either. Where nearly nothing moves,
+derivatives would enlarge both errors without limit."""
 RENEWALS = 3
 """Attempts to solve a step after which the corrections of its travel stay, so that the search ends."""
 
@@ -76,7 +78,8 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
         travel, per_yield = x[k] - x_before, 2.0 / (yield_travel + c.yield_travel)
         excess = travel - 0.5 * dt[k] * (v_before + v[k])
         d, w_now, u_now, thinning_now, bend_now = _step(w, e, u, thinning, bend, dt[k], excess, v[k], per_yield, c)
-        if u.real * u_now.real < 0.0:
+        least = ALMOST_STEADY * CREEP * c.reference_speed.real
+        if u.real * u_now.real < 0.0 and max(abs(u.real), abs(u_now.real)) > least:
             drive = (c.series_viscous + c.viscous * thinning) * u
             part = drive / (drive - (c.series_viscous + c.viscous * thinning_now) * u_now)
             d, w_now, u_now, thinning_now, bend_now = _step_with_reversal(
@@ -173,7 +176,7 @@ def _step(
         resistance = c.series_viscous + c.viscous * (thinning_now + thinning_slope * u_now)
         change = u_now - u
         rise = (c.series_viscous + c.viscous * thinning_now) * u_now - drive
-        if abs(change.real) > ALMOST_STEADY * abs(u_now.real):
+        if abs(change.real) > ALMOST_STEADY * max(abs(u_now.real), creep_speed.real):
             per_rise = 1.0 / rise
             mobility = change * per_rise
             area = 0.5 * c.series_viscous * (u_now * u_now) + energy * thinning_now * square - integral - drive * change
