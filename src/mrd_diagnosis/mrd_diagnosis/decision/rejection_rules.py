@@ -137,7 +137,6 @@ RULES = (
         "worse",
         "with all that would be named, your model predicts held-out data worse than without",
         lambda claim: claim.closed_together.upper < 0.0,
-        leaves_open=True,
     ),
     Rule(
         "on_bound",
