@@ -275,9 +275,13 @@ def _job_row(job: Job, open_report: Any, apply: Any, record: Any) -> None:
 async def record_advised(dashboard: Dashboard, who: Visitor, job: Job) -> str:
     """Put the experiment that a diagnosis advises into the queue; return the name of its set, "" where it was refused."""
 
-    async def work() -> str:
-        return await dashboard.queue_set("advised experiment", [job.advised])
+    batch = ""
 
-    answer = await dashboard.act(who, "record the advised experiment", work, str(job.folder))
-    tell(answer)
-    return dashboard.queue.runs[-1].batch if answer.success else ""
+    async def work() -> str:
+        nonlocal batch
+        answer = await dashboard.queue_set("advised experiment", [job.advised])
+        batch = dashboard.queue.runs[-1].batch  # at once: later, somebody else's run may be the last one
+        return answer
+
+    tell(await dashboard.act(who, "record the advised experiment", work, str(job.folder)))
+    return batch
