@@ -26,6 +26,7 @@ from mrd_base import InputError
 from mrd_diagnosis import Diagnosis, diagnose
 from mrd_identification import Fit, identify
 from mrd_runs import Run, read_runs
+from mrd_runs.scales import NEAR_MIDDLE
 from mrd_trials.size import Size
 
 COLUMNS = ("time_s", "position_m", "current_A", "force_N", "acceleration_mps2")
@@ -54,7 +55,7 @@ ODD = {
 """Parameters that change their sign where motion and force do. Gas spring and cavitation have one direction by nature."""
 
 POSITIONS = {"side_load_friction.centre"}
-"""Parameters that are positions of the rod, which move with the zero of its sensor."""
+"""Parameters that are positions of the rod. They move with the zero of its sensor, as long as this counts as mid-stroke."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,9 @@ class Change:
         half_stroke : float
             Half the stroke of the unchanged recordings in m.
         """
-        shifted = value * (-1.0 if self.mirrored and name in ODD else 1.0) + (self.shift * half_stroke) * (name in POSITIONS)
+        shifted = value * (-1.0 if self.mirrored and name in ODD else 1.0)
+        if name in POSITIONS and abs(self.shift) <= NEAR_MIDDLE:
+            shifted += self.shift * half_stroke
         return shifted * Size(self.force, self.motion, self.current).factor(unit)
 
     def _columns(self, columns: Columns, half_stroke: float) -> Columns:

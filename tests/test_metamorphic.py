@@ -54,6 +54,7 @@ DRAWS = {
     ),
     "mirror": lambda rng: Change(mirrored=True, shift=rng.uniform(-0.5, 0.5)),
     "shift": lambda rng: Change(shift=rng.uniform(-1.0, 1.0)),
+    "zero": lambda rng: Change(shift=float(rng.choice([-1.0, 1.0])) * logarithmic(rng, 2.0, 40.0)),
     "start": lambda rng: Change(cut=rng.uniform(0.3, 2.2)),
     "end": lambda rng: Change(cut_end=rng.uniform(0.3, 2.2)),
     "halves": lambda _rng: Change(split=True),
@@ -82,7 +83,15 @@ def drawn(name, kind):
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [("worn_joint", "size"), ("worn_joint", "file"), ("healthy", "start"), ("healthy", "size"), ("seal_friction", "mirror")],
+    [
+        ("worn_joint", "size"),
+        ("worn_joint", "file"),
+        ("healthy", "start"),
+        ("healthy", "size"),
+        ("healthy", "zero"),
+        ("seal_friction", "mirror"),
+        ("joint_play", "zero"),
+    ],
 )
 def test_a_changed_recording_gets_the_same_answer(name, kind, tmp_path):
     check(name, drawn(name, kind), tmp_path, FEW, FEW_RUNS)

@@ -1,4 +1,7 @@
-"""Scales of recordings: how large the force, stroke, speed and current of a damper are, in which ranges are stated."""
+"""Scales of recordings: how large force, stroke, speed and current of a damper are, and where its mid-stroke is.
+
+The ranges of parameters are stated in these scales.
+"""
 
 import re
 from collections.abc import Sequence
@@ -33,7 +36,7 @@ _NAMES = ("force", "stroke", "current", "time")
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes by which recordings of one damper differ from those of another.
+    """Sizes by which recordings of one damper differ from those of another, and the zero of its positions.
 
     Attributes
     ----------
@@ -45,12 +48,15 @@ class Scales:
         m/s, of the fast strokes.
     current : float
         A, the largest.
+    middle : float
+        Reading of the position in m that counts as mid-stroke.
     """
 
     force: float
     stroke: float
     speed: float
     current: float
+    middle: float = 0.0
 
     @property
     def acceleration(self) -> float:
@@ -81,6 +87,10 @@ REFERENCE = Scales(force=1200.0, stroke=0.02, speed=0.1, current=1.0)
 SMALLEST = Scales(force=1.0, stroke=2e-4, speed=1e-3, current=5e-3)
 LARGEST = Scales(force=2e6, stroke=1.0, speed=10.0, current=50.0)
 """Scales beyond those of any damper on a bench."""
+NEAR_MIDDLE = 0.1
+"""Share of half the stroke by which the middle of the recorded positions may be off a mid-stroke that the laboratory has set
+to zero."""
+
 FASTEST, SLOWEST = 1e-3, 1e3
 """Times of the fastest and of the slowest recordings over those of the reference damper."""
 
@@ -102,16 +112,20 @@ def scales_of(runs: Sequence[Run]) -> Scales:
     """Return the scales of recordings of one damper.
 
     Each is the largest of any run; quantiles keep outliers out. A current that is zero throughout has the scale of the
-    reference damper.
+    reference damper. Mid-stroke is where the position is zero, unless this is far from the middle of what was recorded, as
+    with a sensor that counts from the end of the stroke: then it is this middle.
     """
     force = max(_half_span(run.force) for run in runs)
     stroke = max(_half_span(run.position) for run in runs)
     speed = max(float(np.quantile(np.abs(run.velocity), 0.95)) for run in runs)
     current = max(float(np.quantile(np.abs(run.current), 0.99)) for run in runs)
-    found = Scales(force, stroke, speed, current)
-    return Scales(
-        *(value if value > 0.0 else default for value, default in zip(_values(found), _values(REFERENCE), strict=True))
+    found = force, stroke, speed, current
+    force, stroke, speed, current = (
+        value if value > 0.0 else default for value, default in zip(found, _values(REFERENCE), strict=True)
     )
+    ends = [_ends(run.position) for run in runs]
+    middle = 0.5 * (min(low for low, _ in ends) + max(high for _, high in ends))
+    return Scales(force, stroke, speed, current, middle if abs(middle) > NEAR_MIDDLE * stroke else 0.0)
 
 
 def rule(unit: str) -> str:
@@ -154,5 +168,10 @@ def _values(scales: Scales) -> tuple[float, ...]:
 
 
 def _half_span(values: np.ndarray) -> float:
+    low, high = _ends(values)
+    return 0.5 * (high - low)
+
+
+def _ends(values: np.ndarray) -> tuple[float, float]:
     low, high = np.quantile(values, [0.01, 0.99])
-    return 0.5 * float(high - low)
+    return float(low), float(high)

@@ -129,7 +129,7 @@ def _simulator_parts(
     if not model.stands_for:
         return {**dict.fromkeys(_SIMULATOR_PARTS, ""), "added": "0.0"}
     parameters = ", ".join(c_number(value) for value in model.alone.vector(plain or {}))
-    place = model.alone.names.index("coil_lag")
+    places = {name: str(model.alone.names.index(name)) for name in ("coil_lag", "mid_stroke")}
     return {
         "simulator_argument": ", simulator_force",
         "simulator_parameter": ", double simulator",
@@ -139,11 +139,13 @@ def _simulator_parts(
         "added": "i + 1 < count ? (1.0 - share) * s->excess + share * excess : excess",
         "keep_excess": "    s->excess = excess;\n",
         "plain_function": Template(template("plain.c")).substitute(
-            p=prefix, parameters=parameters, place=place, lag=lag, laws=laws, kernel=kernel
+            p=prefix, P=prefix.upper(), parameters=parameters, lag=lag, laws=laws, kernel=kernel, **places
         ),
         "find_excess": template("excess.c"),
         "through_declaration": Template(template("through_declaration.c")).substitute(p=prefix),
-        "through": Template(template("through.c")).substitute(p=prefix, first=elongations.start, last=elongations.stop),
+        "through": Template(template("through.c")).substitute(
+            p=prefix, P=prefix.upper(), first=elongations.start, last=elongations.stop
+        ),
     }
 
 

@@ -2,9 +2,10 @@
 
 from string import Template
 
+from mrd_runs.scales import NEAR_MIDDLE
 from mrd_sim.current import LAWS
 from mrd_sim.models import MODELS, Coefficient, DamperModel
-from mrd_sim.models.model import COIL_LAG
+from mrd_sim.models.model import COIL_LAG, MID_STROKE
 from mrd_sim.ranges import RANGES, grows_with
 
 COMMAND = "ros2 run mrd_sim models --markdown > docs/models.md"
@@ -89,6 +90,10 @@ grows as the damper extends; x' is the velocity, x'' the acceleration. The force
 extension, so that F x' > 0 is dissipated power. Gas pressure pushes the rod out and is a negative offset f0. Units are
 SI: m, s, N, A.
 
+Every model has the constant `{MID_STROKE.name}`, the reading of the position sensor at mid-stroke. It is 0 by default.
+Where the middle of recordings is more than {100 * NEAR_MIDDLE:g} % of half the stroke away from 0, as with a sensor that
+counts from the end of the stroke, a fit or a diagnosis sets it to this middle and says so.
+
 `ros2 run mrd_sim models` lists the models, `ros2 run mrd_sim models MODEL` shows one with its parameters, and
 `ros2 run mrd_identification identify RUN... --model MODEL` fits one to recordings.
 
@@ -166,8 +171,8 @@ def page() -> str:
         for law in LAWS.values()
     )
     models = "\n".join(
-        f"| [`{model.id}`](#{model.id}) | {model.title} | {len(model.parameters)} | {memory(model)} | {integration(model)} "
-        f"| {'yes' if model.dissipative else 'no'} |"
+        f"| [`{model.id}`](#{model.id}) | {model.title} | {sum(not p.place for p in model.parameters)} | {memory(model)} "
+        f"| {integration(model)} | {'yes' if model.dissipative else 'no'} |"
         for model in MODELS.values()
     )
     sections = "\n".join(section(model) for model in MODELS.values())

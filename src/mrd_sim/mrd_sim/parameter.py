@@ -3,7 +3,10 @@
 import math
 from dataclasses import dataclass, replace
 
-from mrd_runs.scales import Scales, extremes, rule
+from mrd_runs.scales import LARGEST, Scales, extremes, rule
+
+MOST_READING = 10.0 * LARGEST.stroke
+"""m, beyond any reading of a position sensor on a bench."""
 
 
 @dataclass(frozen=True)
@@ -14,7 +17,8 @@ class Parameter:
     scales, by the unit: a play in m with the stroke, a viscous coefficient in N s/m with force, time and stroke. A number
     that is ``absolute`` stays, for the reason given there. ``log`` asks for a logarithmic scale between the bounds. A
     parameter that is not ``free`` keeps its default unless it is set or freed by name. One whose bounds are its default is a
-    constant of the equation, to which other parameters refer; it is never searched, and grows by powers of ten.
+    constant of the equation, to which other parameters refer; it is never searched, and grows by powers of ten. A constant
+    that is a ``place`` is a reading of the position sensor: that of mid-stroke in the recordings.
     """
 
     name: str
@@ -26,6 +30,7 @@ class Parameter:
     log: bool = False
     free: bool = True
     absolute: str = ""
+    place: bool = False
 
     @property
     def is_constant(self) -> bool:
@@ -35,18 +40,22 @@ class Parameter:
     @property
     def limits(self) -> tuple[float, float]:
         """Least and largest value that any damper may have: wider than the bounds where these follow its scales."""
+        if self.place:
+            return -MOST_READING, MOST_READING
         least, most = (1.0, 1.0) if self.absolute else extremes(self.unit)
         return self.lower * (most if self.lower < 0.0 else least), self.upper * (most if self.upper > 0.0 else least)
 
     def scaled(self, scales: Scales) -> "Parameter":
         """Return the parameter with default and bounds for a damper of these scales."""
+        if self.place:
+            return replace(self, default=scales.middle, lower=scales.middle, upper=scales.middle)
         factor = self.factor(scales)
         return replace(self, default=self.default * factor, lower=self.lower * factor, upper=self.upper * factor)
 
     @property
     def rule(self) -> str:
         """Scales of the recordings with which the bounds grow, such as ``force / stroke``; empty where they stay."""
-        return "" if self.absolute else rule(self.unit)
+        return "" if self.absolute or self.place else rule(self.unit)
 
     def factor(self, scales: Scales) -> float:
         """Return by how much the parameter is larger for a damper of these scales than for the reference damper."""

@@ -63,6 +63,13 @@ CASES |= {
     f"with_{name}": (find_model("bouc_wen", effects=effects), typical_values(effects))
     for name, effects in EFFECT_SETS.items()
 }
+CASES |= {
+    f"{name}_off_zero": (
+        find_model(name, effects=("end_stop",)),
+        typical_values(("end_stop",)) | {"end_stop.limit": 0.008, "mid_stroke": 0.004},
+    )
+    for name in ("bouc_wen", "hyperbolic_tangent")
+}
 EVERY = pytest.mark.parametrize("case", CASES)
 
 

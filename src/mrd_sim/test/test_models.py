@@ -16,7 +16,7 @@ from mrd_base import InputError
 from mrd_sim.cli import models as tool
 from mrd_sim.current import LAWS, lagged_current
 from mrd_sim.damper import Damper
-from mrd_sim.dual_type import along
+from mrd_sim.dual_type import along, as_duals
 from mrd_sim.effects import find_effects
 from mrd_sim.hysteresis import advance
 from mrd_sim.models import MODELS, find_model
@@ -235,6 +235,30 @@ def test_odd_without_offset(name, examples, seed):
     there = model.force(theta, make_path(time, x, v, a, current))
     back = model.force(theta, make_path(time, -x, -v, -a, current))
     assert np.allclose(there, -back, rtol=0, atol=TINY * (1 + np.max(np.abs(there))))
+
+
+@BY_NAME
+@pytest.mark.parametrize("effects", [(), ("end_stop", "joint_play")])
+def test_position_counts_from_mid_stroke(name, effects):
+    """A sensor may count from anywhere."""
+    model = find_model(name, effects=effects)
+    values = {"end_stop.stiffness": 1e8, "end_stop.limit": 5e-3, "joint_play.play": 2e-4} if effects else {}
+    time, x, v, a, current = sine()
+    near, far = (make_path(time, x + zero, v, a, current) for zero in (1e-5, 0.4 + 1e-5))
+    theta, moved = model.vector(values), model.vector({**values, "mid_stroke": 0.4})
+    force = model.force(theta, near)
+    tolerance = {"rtol": 0, "atol": 1e-9 * np.abs(force).max()}
+    np.testing.assert_allclose(model.force(moved, far), force, **tolerance)
+    np.testing.assert_allclose(model.forces_of(np.stack([moved] * 3), far)[1], force, **tolerance)
+    np.testing.assert_allclose(model.force(as_duals(moved), far).real, force, **tolerance)
+    if model.linear.size:
+        (columns, rest), *_ = model.regressors(moved[None], far)
+        np.testing.assert_allclose(columns @ moved[model.linear] + rest, force, **tolerance)
+    damper_force = model.force_of_damper(theta, near)
+    behind, of_near = (
+        model.motion_of_damper(parameters, path, damper_force) for parameters, path in ((moved, far), (theta, near))
+    )
+    np.testing.assert_allclose(behind[0] - 0.4, of_near[0], rtol=0, atol=1e-12)
 
 
 @BY_NAME

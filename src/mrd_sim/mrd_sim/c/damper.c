@@ -39,7 +39,7 @@ typedef struct {
 typedef struct {
     double parameters[${P}_PARAMETERS];
     double inner[$states];                             /* of the coil, the model, the effects; elongations in series, force */
-    double position, velocity, acceleration, current;  /* at the sample before */
+    double position, velocity, acceleration, current;  /* at the sample before, from mid-stroke */
 $plain_state    int moved;                                         /* whether there was such a sample */
 } ${p}_state;
 
@@ -103,6 +103,7 @@ static int vertices(
     if (!s->moved) {
         dt = 0.0;
     }
+    position -= s->parameters[${P}_MID_STROKE];
     /* Where the linear velocity is zero; rounding may put it on a sample. */
     const double f = s->velocity * velocity < 0.0 ? s->velocity / (s->velocity - velocity) : 0.0, g = 1.0 - f;
     const int turns = dt > 0.0 && f > 0.0 && f < 1.0;

@@ -22,7 +22,7 @@ void ${p}_motion(
         behind.x -= elongation(s);
         behind.v -= p->dt > 0.0 ? (elongation(s) - before) / p->dt : 0.0;
         s->answer = plain(s, &behind);
-        left[0] = behind.x;
+        left[0] = behind.x + s->parameters[${P}_MID_STROKE];
         left[1] = behind.v;
         left[2] = behind.a;
         left[3] = behind.current;

@@ -39,6 +39,9 @@ ALL = slice(None)
 BLOCK = 512
 """Vertices of which the coefficients with their derivatives are kept at a time: as many as a processor's cache holds."""
 
+MID_STROKE = Parameter(
+    "mid_stroke", "m", 0.0, 0.0, 0.0, "reading of the position at mid-stroke, from which x counts", free=False, place=True
+)
 COIL_LAG = Parameter(
     "coil_lag",
     "s",
@@ -175,13 +178,13 @@ class DamperModel:
 
     @cached_property
     def _model_parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the model without effects; the coil lag is the last."""
+        """Parameters of the model without effects; mid-stroke and the coil lag are the last."""
         return tuple(parameter.scaled(self.scales) for parameter in self._declared)
 
     @cached_property
     def _declared(self) -> tuple[Parameter, ...]:
         """The same parameters with the ranges of the reference damper."""
-        return (*(p for coefficient in self.coefficients for p in coefficient.parameters()), COIL_LAG)
+        return (*(p for coefficient in self.coefficients for p in coefficient.parameters()), MID_STROKE, COIL_LAG)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -363,13 +366,13 @@ class DamperModel:
             current is the one before the model's own lag.
         """
         path, state, (x, v, a, current, _) = self._before_damper(theta, path, state)
-        chosen = path.samples
+        chosen, middle = path.samples, self._mid_stroke(theta)
         if not self.series_elements:
-            return x[chosen], v[chosen], a[chosen], current[chosen]
+            return x[chosen] + middle, v[chosen], a[chosen], current[chosen]
         parameters, elongations = self._parameters_in_series(theta), state[-len(self.series_elements) - 1 : -1]
         elongation = elongations_under(self._functions(1), parameters, elongations, path.dt, x, v, force)
         speed = np.divide(np.diff(elongation, prepend=elongation[:1]), path.dt, out=np.zeros(len(x)), where=path.dt > 0.0)
-        return x[chosen] - elongation[chosen], v[chosen] - speed[chosen], a[chosen], current[chosen]
+        return x[chosen] - elongation[chosen] + middle, v[chosen] - speed[chosen], a[chosen], current[chosen]
 
     def integrated(self, path: Path) -> Path:
         """Return the path with the vertices along which the model is integrated."""
@@ -381,7 +384,13 @@ class DamperModel:
         path = self.integrated(path)
         x, v, a, current, force = (
             like(theta, series)
-            for series in (path.position, path.velocity, path.acceleration, path.current, np.zeros(len(path.dt)))
+            for series in (
+                path.position - self._mid_stroke(theta),
+                path.velocity,
+                path.acceleration,
+                path.current,
+                np.zeros(len(path.dt)),
+            )
         )
         if self.effects and theta.dtype == float:  # effects change the signals in place
             x, v, a, current = (series.copy() for series in (x, v, a, current))
@@ -437,6 +446,10 @@ class DamperModel:
             if effect.coefficients is not None:
                 (parameters,) = self._effect_parameters([effect])
                 effect.coefficients(theta[parameters], self._parts, temperature, rows)
+
+    def _mid_stroke(self, theta: Array) -> float:
+        """Return the reading of the position at mid-stroke in m, a constant without derivatives."""
+        return float(theta.real[len(self._model_parameters) - 2])
 
     def _lagged(self, theta: Array, state: Array, dt: Array, current: Array) -> Array:
         """Return the effective current in A behind the coil lag of the model."""
@@ -529,6 +542,8 @@ class DamperModel:
         laws = self.law_codes, self.law_columns, self.floors
         chosen = path.samples[samples]
         groups = filled.reshape(-1, CANDIDATES, filled.shape[1])
+        # Mid-stroke is a constant, the same for all candidates.
+        path = replace(path, position=path.position - self._mid_stroke(thetas[0]))
         forces = [force_in_lanes(self.kernel, self.states, group, laws, path, chosen) for group in groups]
         return (forces[0] if len(forces) == 1 else np.concatenate(forces))[: len(thetas)]
 
@@ -558,7 +573,11 @@ class DamperModel:
         without[:, self.linear] = 0.0
         chosen = path.samples[samples]
         rests = self.forces_of(without, path, samples) if self._has_rest else np.zeros((len(thetas), len(chosen)))
-        multiplied = {"x": path.position[chosen], "v": path.velocity[chosen], "1": np.ones(len(chosen))}
+        multiplied = {
+            "x": path.position[chosen] - self._mid_stroke(thetas[0]),
+            "v": path.velocity[chosen],
+            "1": np.ones(len(chosen)),
+        }
         bases: dict[int, Array] = {}
         for j, coefficient in enumerate(self.coefficients):
             if coefficient.multiplies == "term":

@@ -1,0 +1,34 @@
+"""Scales of recordings."""
+
+import numpy as np
+import pytest
+
+from mrd_runs import make_run
+from mrd_runs.scales import REFERENCE, scales_of
+
+TIME = np.arange(4000) / 1000.0
+
+
+def strokes(middle, half_stroke=0.02):
+    position = middle + half_stroke * np.sin(2 * np.pi * TIME)
+    force, current = 800.0 * np.cos(2 * np.pi * TIME), np.full(len(TIME), 0.5)
+    return make_run("strokes", {"time_s": TIME, "position_m": position, "current_A": current, "force_N": force})
+
+
+@pytest.mark.parametrize(("zero", "middle"), [(0.0, 0.0), (0.0015, 0.0), (-0.0015, 0.0), (0.01, 0.01), (-0.3, -0.3)])
+def test_mid_stroke_is_zero_unless_the_sensor_counts_from_elsewhere(zero, middle):
+    scales = scales_of([strokes(zero)])
+    assert scales.middle == pytest.approx(middle, abs=1e-5)
+    assert scales.stroke == pytest.approx(0.02, rel=2e-3)
+
+
+def test_mid_stroke_is_that_of_all_runs():
+    """Short strokes off the middle do not move it."""
+    runs = [strokes(0.0), strokes(0.012, half_stroke=0.005)]
+    assert scales_of(runs).middle == 0.0
+    shifted = [strokes(0.2), strokes(0.212, half_stroke=0.005)]
+    assert scales_of(shifted).middle == pytest.approx(0.2, abs=1e-5)
+
+
+def test_the_reference_damper_counts_from_mid_stroke():
+    assert REFERENCE.middle == 0.0
