@@ -168,6 +168,18 @@ class Thresholds:
         "lead that is not decisive (odds of e) where the formulas leave so much",
         "measured recordings with known errors, seed 81",
     )
+    alike_formula_error: float = threshold(
+        0.1,
+        "of the gap that the best effect closes",
+        "lead over another effect that is at most not decisive (odds of e), because their formulas are not exact",
+        "development seeds 82, 83 and 94",
+    )
+    alike_remaining_error: float = threshold(
+        0.3,
+        "of what the best explanation leaves beyond noise",
+        "the same lead where the formulas leave little",
+        "development seeds 82, 83 and 94",
+    )
     indistinguishable: float = threshold(
         0.9,
         "of the best effect's gain",

@@ -105,6 +105,6 @@ def probabilities_of_alternatives(comparison: ModelComparison, rng: np.random.Ge
     excess = comparison.best.chi_square - 1.0
     explained = min(1.0, tolerated_excess(comparison.base) / max(excess, LEAST_EXCESS))
     return {
-        effect: dict(zip(others, explained * model_probabilities(list(others.values()), rng), strict=True))
+        effect: dict(zip(others, explained * model_probabilities(list(others.values()), rng, list(others)), strict=True))
         for effect, others in comparison.alternatives.items()
     }

@@ -62,8 +62,9 @@ def advise_next(
     else:
         ranked = sorted(singles, key=lambda fit: fit.refit.held_out_cost)[:MOST_EXPLANATIONS_TO_SEPARATE]
         without, known = comparison.base, {fit.effects[0]: fit.refit for fit in ranked}
-        shares = model_probabilities([ranked[0].refit, without, *(fit.refit for fit in ranked[1:])], rng)
-        likely = dict(zip([ranked[0].effects[0], NO_EFFECT, *(fit.effects[0] for fit in ranked[1:])], shares, strict=True))
+        effects = [ranked[0].effects[0], NO_EFFECT, *(fit.effects[0] for fit in ranked[1:])]
+        refits_of = [ranked[0].refit, without, *(fit.refit for fit in ranked[1:])]
+        likely = dict(zip(effects, model_probabilities(refits_of, rng, effects), strict=True))
         names = _open_explanations(likely)
     missing = [name for name in names if name in EFFECTS and name not in known]
     refits = {**known, NO_EFFECT: without}

@@ -50,7 +50,9 @@ def tempering_of(dispersion: float, gap: float) -> float:
     return min(1.0, dispersion / (0.5 * THRESHOLDS.formula_error * max(gap, LEAST_GAP)))
 
 
-def model_probabilities(alternatives: Sequence[Refit], rng: np.random.Generator) -> Array:
+def model_probabilities(
+    alternatives: Sequence[Refit], rng: np.random.Generator, effects: Sequence[str] | None = None
+) -> Array:
     """Return the probability (alternatives,) of each refit to be the one that predicts held-out folds best.
 
     The likelihood of the held-out white error, tempered by its correlation in time and by the reduced chi-square that even
@@ -59,11 +61,18 @@ def model_probabilities(alternatives: Sequence[Refit], rng: np.random.Generator)
     as well by `Thresholds.formula_error` of what the best closes, and by `Thresholds.remaining_error` of what it leaves
     beyond noise, which shows that something is wrong with the formulas.
 
+    Whether any effect is there hardly depends on its formula, but which one of several that look alike does. So the effects
+    share their probability by a second temperature, by what the formulas of look-alikes may be wrong: a share of what the
+    best leaves (`Thresholds.alike_remaining_error`), at most one of what it closes (`Thresholds.alike_formula_error`). In a
+    comparison of before and after, what no effect explains counts as noise, so that nothing shows how wrong they are.
+
     Parameters
     ----------
     alternatives : sequence of Refit
         The second, if there is one, lacks what the first explains.
     rng : numpy Generator
+    effects : sequence of str, optional
+        The effect of each, empty for none; without them, all have the one temperature.
     """
     # A fit may diverge where a fold is held out.
     costs = np.nan_to_num([alternative.held_out_costs for alternative in alternatives], nan=1e30, posinf=1e30)
@@ -75,13 +84,19 @@ def model_probabilities(alternatives: Sequence[Refit], rng: np.random.Generator)
     )
     closed = float(bounded[:2].max() - bounded.min())
     left = float(totals.min()) * (1.0 - 1.0 / max(best.chi_square, 1.0))
-    temperature = max(
-        error_dispersion(best.problem.residuals(best.theta)),
-        0.5 * THRESHOLDS.formula_error * closed,
-        0.5 * THRESHOLDS.remaining_error * left,
-    )
+    dispersion = error_dispersion(best.problem.residuals(best.theta))
+    wrong = max(THRESHOLDS.formula_error * closed, THRESHOLDS.remaining_error * left)
     weights = rng.dirichlet(np.ones(costs.shape[1]), BOOTSTRAP_SAMPLES) * costs.shape[1]
-    return np.asarray(softmax(-0.5 * weights @ costs.T / temperature, axis=1).mean(axis=0))
+    log_likelihoods = -0.5 * weights @ costs.T
+    shares = softmax(log_likelihoods / max(dispersion, 0.5 * wrong), axis=1)
+    acting = np.array([bool(effect) for effect in effects or ()])
+    if acting.sum() > 1:
+        compared = any(recording.without_effects for recording in best.problem.recordings)
+        known = np.inf if compared else THRESHOLDS.alike_remaining_error * left
+        wrong = max(wrong, min(THRESHOLDS.alike_formula_error * closed, known))
+        of_effects = shares[:, acting].sum(axis=1, keepdims=True)
+        shares[:, acting] = of_effects * softmax(log_likelihoods[:, acting] / max(dispersion, 0.5 * wrong), axis=1)
+    return np.asarray(shares.mean(axis=0))
 
 
 def error_dispersion(white: Array) -> float:

@@ -256,6 +256,7 @@ def table_probabilities(table: Sequence[Hypothesis], rng: np.random.Generator) -
     without = next(entry for entry in table if (entry.form, entry.effect) == (best.form, NO_EFFECT))
     ordered = list({id(entry): entry for entry in (best, without, *table)}.values())
     probabilities: dict[str, float] = {}
-    for entry, probability in zip(ordered, model_probabilities([entry.refit for entry in ordered], rng), strict=True):
+    found = model_probabilities([entry.refit for entry in ordered], rng, [entry.effect for entry in ordered])
+    for entry, probability in zip(ordered, found, strict=True):
         probabilities[entry.effect] = probabilities.get(entry.effect, 0.0) + float(probability)
     return dict(sorted(probabilities.items(), key=lambda item: -item[1]))

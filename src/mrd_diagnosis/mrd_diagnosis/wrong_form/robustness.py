@@ -23,7 +23,7 @@ def is_robust(probability: float, without: Refit, with_effect: Refit) -> bool:
 
 def probabilities_in_place(refits: Mapping[str, Refit], support: float, rng: np.random.Generator) -> dict[str, float]:
     """Return the probability of each effect among refits in one place; with that of no effect, they sum to ``support``."""
-    shares = map(float, model_probabilities(list(refits.values()), rng))
+    shares = map(float, model_probabilities(list(refits.values()), rng, list(refits)))
     return {name: support * share for name, share in zip(refits, shares, strict=True) if name != NO_EFFECT}
 
 
