@@ -139,7 +139,9 @@ UNCHANGED = Outcome(
     {"joint_play.play": (4e-4, 3.8e-4, 4.2e-4, "m"), "joint_play.film": (0.5, 0.3, 0.7, "")},
     {"a": {**SET["a"], "modelled_N": 0.9 * SET["a"]["force_N"]}},
     1.0,
+    {"joint_play": (0.99, frozenset(["joint_play"]))},
 )
+BACKLASH = {"backlash": (0.99, frozenset(["backlash"]))}
 
 
 @given(st.sampled_from(sorted(DRAWS)), st.integers(0, 2**32 - 1))
@@ -179,7 +181,11 @@ def test_a_cut_set_has_the_rest():
         ("motion=3", {"sizes": {"joint_play.play": (1.23e-3, 1.1e-3, 1.3e-3, "m")}}, 1),
         ("motion=3,cut=0.1", {"sizes": {"joint_play.play": (1.3e-3, 1.25e-3, 1.4e-3, "m")}}, 0),
         ("motion=3,cut=0.1", {"sizes": {"joint_play.play": (1.4e-3, 1.3e-3, 1.5e-3, "m")}}, 1),
-        ("mirrored", {"verdict": "ambiguous", "causes": ("joint_play", "backlash")}, 2),
+        ("mirrored", {"verdict": "ambiguous", "classes": {**UNCHANGED.classes, **BACKLASH}}, 2),
+        ("cut=0.1", {"classes": BACKLASH}, 1),
+        ("cut=0.1", {"classes": {"backlash": (0.99, frozenset(["backlash", "joint_play"]))}}, 0),
+        ("cut=0.1", {"classes": {**UNCHANGED.classes, "backlash": (0.55, frozenset(["backlash"]))}}, 0),
+        ("cut=0.1", {"classes": {}}, 1),
         ("time=5", {"fitted": {"a": {**SET["a"], "modelled_N": 0.8 * SET["a"]["force_N"]}}}, 1),
     ],
 )
