@@ -26,7 +26,7 @@ from mrd_base import InputError
 from mrd_diagnosis import Diagnosis, diagnose
 from mrd_identification import Fit, identify
 from mrd_runs import Run, read_runs
-from mrd_runs.scales import NEAR_MIDDLE
+from mrd_runs.scales import FAR_FROM_ZERO
 from mrd_trials.size import Size
 
 COLUMNS = ("time_s", "position_m", "current_A", "force_N", "acceleration_mps2")
@@ -148,7 +148,7 @@ class Change:
             Half the stroke of the unchanged recordings in m.
         """
         shifted = value * (-1.0 if self.mirrored and name in ODD else 1.0)
-        if name in POSITIONS and abs(self.shift) <= NEAR_MIDDLE:
+        if name in POSITIONS and abs(self.shift) <= FAR_FROM_ZERO:
             shifted += self.shift * half_stroke
         return shifted * Size(self.force, self.motion, self.current).factor(unit)
 

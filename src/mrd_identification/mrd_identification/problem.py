@@ -371,9 +371,9 @@ def make_problem(
         if name not in model.names:
             raise InputError(f"model {model.id}: unknown parameter {name} (known: {', '.join(model.names)})")
     undetermined, notes = _undetermined(model, recordings, fixed)
-    if (middle := model.scales.middle) and "mid_stroke" not in fixed:
+    if (place := model.scales.mid_stroke) and "mid_stroke" not in fixed:
         notes.append(
-            f"Mid-stroke is taken at a position of {1e3 * middle:.4g} mm (mid_stroke), the middle of what was recorded: a "
+            f"Mid-stroke is taken at a position of {1e3 * place:.4g} mm (mid_stroke), the middle of what was recorded: a "
             "position of zero is far from it"
         )
     for index, value in undetermined.items():

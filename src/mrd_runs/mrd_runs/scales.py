@@ -48,15 +48,18 @@ class Scales:
         m/s, of the fast strokes.
     current : float
         A, the largest.
-    middle : float
+    mid_stroke : float
         Reading of the position in m that counts as mid-stroke.
+    centre : float
+        m from there to the middle of the recorded positions.
     """
 
     force: float
     stroke: float
     speed: float
     current: float
-    middle: float = 0.0
+    mid_stroke: float = 0.0
+    centre: float = 0.0
 
     @property
     def acceleration(self) -> float:
@@ -87,9 +90,8 @@ REFERENCE = Scales(force=1200.0, stroke=0.02, speed=0.1, current=1.0)
 SMALLEST = Scales(force=1.0, stroke=2e-4, speed=1e-3, current=5e-3)
 LARGEST = Scales(force=2e6, stroke=1.0, speed=10.0, current=50.0)
 """Scales beyond those of any damper on a bench."""
-NEAR_MIDDLE = 0.1
-"""Share of half the stroke by which the middle of the recorded positions may be off a mid-stroke that the laboratory has set
-to zero."""
+FAR_FROM_ZERO = 1.5
+"""Times half the recorded stroke. Where its middle is farther from zero, a position of zero cannot be mid-stroke."""
 
 FASTEST, SLOWEST = 1e-3, 1e3
 """Times of the fastest and of the slowest recordings over those of the reference damper."""
@@ -112,8 +114,8 @@ def scales_of(runs: Sequence[Run]) -> Scales:
     """Return the scales of recordings of one damper.
 
     Each is the largest of any run; quantiles keep outliers out. A current that is zero throughout has the scale of the
-    reference damper. Mid-stroke is where the position is zero, unless this is far from the middle of what was recorded, as
-    with a sensor that counts from the end of the stroke: then it is this middle.
+    reference damper. Mid-stroke is where the position is zero, unless this is far beyond what was recorded, as with a sensor
+    that counts from elsewhere: then it is the middle of the recorded positions.
     """
     force = max(_half_span(run.force) for run in runs)
     stroke = max(_half_span(run.position) for run in runs)
@@ -124,8 +126,10 @@ def scales_of(runs: Sequence[Run]) -> Scales:
         value if value > 0.0 else default for value, default in zip(found, _values(REFERENCE), strict=True)
     )
     ends = [_ends(run.position) for run in runs]
-    middle = 0.5 * (min(low for low, _ in ends) + max(high for _, high in ends))
-    return Scales(force, stroke, speed, current, middle if abs(middle) > NEAR_MIDDLE * stroke else 0.0)
+    low, high = min(low for low, _ in ends), max(high for _, high in ends)
+    middle = 0.5 * (low + high)
+    mid_stroke = middle if abs(middle) > FAR_FROM_ZERO * 0.5 * (high - low) else 0.0
+    return Scales(force, stroke, speed, current, mid_stroke, middle - mid_stroke)
 
 
 def rule(unit: str) -> str:

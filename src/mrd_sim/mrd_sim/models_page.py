@@ -2,7 +2,7 @@
 
 from string import Template
 
-from mrd_runs.scales import NEAR_MIDDLE
+from mrd_runs.scales import FAR_FROM_ZERO
 from mrd_sim.current import LAWS
 from mrd_sim.models import MODELS, Coefficient, DamperModel
 from mrd_sim.models.model import COIL_LAG, MID_STROKE
@@ -91,8 +91,8 @@ extension, so that F x' > 0 is dissipated power. Gas pressure pushes the rod out
 SI: m, s, N, A.
 
 Every model has the constant `{MID_STROKE.name}`, the reading of the position sensor at mid-stroke. It is 0 by default.
-Where the middle of recordings is more than {100 * NEAR_MIDDLE:g} % of half the stroke away from 0, as with a sensor that
-counts from the end of the stroke, a fit or a diagnosis sets it to this middle and says so.
+Where the middle of the recorded strokes is more than {FAR_FROM_ZERO:g} times half the stroke away from 0, as with a sensor
+that counts from elsewhere, a fit or a diagnosis sets it to this middle and says so.
 
 `ros2 run mrd_sim models` lists the models, `ros2 run mrd_sim models MODEL` shows one with its parameters, and
 `ros2 run mrd_identification identify RUN... --model MODEL` fits one to recordings.

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from mrd_runs.scales import LARGEST, Scales, extremes, rule
 
@@ -18,7 +19,7 @@ class Parameter:
     that is ``absolute`` stays, for the reason given there. ``log`` asks for a logarithmic scale between the bounds. A
     parameter that is not ``free`` keeps its default unless it is set or freed by name. One whose bounds are its default is a
     constant of the equation, to which other parameters refer; it is never searched, and grows by powers of ten. A constant
-    that is a ``place`` is a reading of the position sensor: that of mid-stroke in the recordings.
+    that is a ``place`` is the one of this name in the scales (`mrd_runs.scales.Scales`), 0 for the reference damper.
     """
 
     name: str
@@ -30,7 +31,7 @@ class Parameter:
     log: bool = False
     free: bool = True
     absolute: str = ""
-    place: bool = False
+    place: Literal["", "mid_stroke", "centre"] = ""
 
     @property
     def is_constant(self) -> bool:
@@ -48,7 +49,8 @@ class Parameter:
     def scaled(self, scales: Scales) -> "Parameter":
         """Return the parameter with default and bounds for a damper of these scales."""
         if self.place:
-            return replace(self, default=scales.middle, lower=scales.middle, upper=scales.middle)
+            place = float(getattr(scales, self.place))
+            return replace(self, default=place, lower=place, upper=place)
         factor = self.factor(scales)
         return replace(self, default=self.default * factor, lower=self.lower * factor, upper=self.upper * factor)
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 
 from mrd_base import InputError
+from mrd_runs.scales import REFERENCE
 from mrd_sim.cli import models as tool
 from mrd_sim.current import LAWS, lagged_current
 from mrd_sim.damper import Damper
@@ -259,6 +260,18 @@ def test_position_counts_from_mid_stroke(name, effects):
         model.motion_of_damper(parameters, path, damper_force) for parameters, path in ((moved, far), (theta, near))
     )
     np.testing.assert_allclose(behind[0] - 0.4, of_near[0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [model.id for model in MODELS.values() if "centre" in model.names])
+def test_the_loop_of_strokes_aside_of_mid_stroke_has_its_own_centre(name):
+    """The force of these models depends on where in the stroke the rod is, and the papers' strokes are about the zero."""
+    model = find_model(name, scales=replace(REFERENCE, centre=0.007))
+    assert model.defaults[model.names.index("centre")] == 0.007
+    time, x, v, a, current = sine()
+    near, aside = (make_path(time, x + place, v, a, current) for place in (1e-5, 0.007 + 1e-5))
+    values = {"stiffness": 0.0} if "stiffness" in model.names else {}
+    force, moved = find_model(name).force(find_model(name).vector(values), near), model.force(model.vector(values), aside)
+    np.testing.assert_allclose(moved, force, rtol=0, atol=1e-9 * np.abs(force).max())
 
 
 @BY_NAME

@@ -7,7 +7,7 @@ from numba import njit
 from mrd_sim.dual import tanh
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.models.model import Array, DamperModel
-from mrd_sim.models.shared_coefficients import PRELOAD, STIFFNESS, VISCOUS, YIELD_FORCE
+from mrd_sim.models.shared_coefficients import CENTRE, PRELOAD, STIFFNESS, VISCOUS, YIELD_FORCE
 from mrd_sim.named import named_row, tuple_type
 
 COEFFICIENTS = (
@@ -21,6 +21,7 @@ COEFFICIENTS = (
     replace(VISCOUS, symbol="b1"),
     replace(STIFFNESS, symbol="b2"),
     PRELOAD,
+    CENTRE,
 )
 Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)
 
@@ -30,7 +31,7 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
     for k in range(len(x)):
         c = named_row(Coefficients, q, k)
         force[k] = (
-            c.yield_force * tanh(c.steepness * v[k] + c.position_weight * x[k])
+            c.yield_force * tanh(c.steepness * v[k] + c.position_weight * (x[k] - c.centre))
             + c.viscous * v[k]
             + c.stiffness * x[k]
             + c.offset
@@ -40,7 +41,7 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
 MODEL = DamperModel(
     id="algebraic",
     title="Algebraic (Guo)",
-    equation="F = f_I tanh(a1 x' + a2 x) + b1 x' + b2 x + f0, x from the middle of the stroke",
+    equation="F = f_I tanh(a1 x' + a2 (x - x_m)) + b1 x' + b2 x + f0, x_m the middle of the strokes",
     source="Guo, Yang & Pan, Veh. Syst. Dyn. 44 (2006); a1 and a2 constant over current there",
     coefficients=COEFFICIENTS,
     kernel=_force,

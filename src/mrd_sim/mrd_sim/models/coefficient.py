@@ -29,7 +29,7 @@ class Coefficient:
         What it multiplies, where the force is linear in it: position ``x``, velocity ``v``, one ``1``, or ``term``, a term
         that only the kernel knows. Empty for a coefficient in which the force is not linear; whatever its law, such a
         coefficient never falls below the least value that any damper may have.
-    absolute : str
+    absolute, place : str
         See `Parameter`.
     part : str
         Part of the force that is in proportion to it: ``viscous``, ``yield``, or empty for neither. ``by unit`` takes what
@@ -51,6 +51,7 @@ class Coefficient:
     multiplies: Literal["", "x", "v", "1", "term"] = ""
     law: str = "affine"
     absolute: str = ""
+    place: Literal["", "mid_stroke", "centre"] = ""
     part: Literal["", "viscous", "yield", "by unit"] = "by unit"
 
     @property
@@ -70,7 +71,7 @@ class Coefficient:
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the law's parameters: value at 0 A, slope there and, where the law has one, a third parameter."""
         bounds = self.default, self.lower, self.upper
-        at_zero = Parameter(self.name, self.unit, *bounds, self.meaning, self.log, self.free, self.absolute)
+        at_zero = Parameter(self.name, self.unit, *bounds, self.meaning, self.log, self.free, self.absolute, self.place)
         if self.per_ampere is None or self.law == "constant":
             return (at_zero,)
         default, lower, upper = self.per_ampere

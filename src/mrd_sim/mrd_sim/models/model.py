@@ -40,7 +40,14 @@ BLOCK = 512
 """Vertices of which the coefficients with their derivatives are kept at a time: as many as a processor's cache holds."""
 
 MID_STROKE = Parameter(
-    "mid_stroke", "m", 0.0, 0.0, 0.0, "reading of the position at mid-stroke, from which x counts", free=False, place=True
+    "mid_stroke",
+    "m",
+    0.0,
+    0.0,
+    0.0,
+    "reading of the position at mid-stroke, from which x counts",
+    free=False,
+    place="mid_stroke",
 )
 COIL_LAG = Parameter(
     "coil_lag",

@@ -20,4 +20,5 @@ _OFFSETS = (0.0, -300.0, 300.0)  # default and bounds: N at 0 A, N/A
 PRELOAD = Coefficient(
     "offset", "f0", "N", "constant force (gas preload)", *_OFFSETS, per_ampere=_OFFSETS, multiplies="1", law="constant"
 )
+CENTRE = Coefficient("centre", "x_m", "m", "middle of the recorded strokes", 0.0, 0.0, 0.0, free=False, place="centre")
 OFFSET = replace(PRELOAD, meaning="constant force (gas preload), -k0 x0")

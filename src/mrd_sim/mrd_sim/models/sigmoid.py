@@ -7,7 +7,7 @@ from numba import njit
 from mrd_sim.dual import absolute, exp, sqrt, tanh
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.models.model import Array, DamperModel
-from mrd_sim.models.shared_coefficients import PRELOAD
+from mrd_sim.models.shared_coefficients import CENTRE, PRELOAD
 from mrd_sim.named import named_row, tuple_type
 
 LEAST_PEAK_SPEED = 1e-4
@@ -55,6 +55,7 @@ COEFFICIENTS = (
         free=False,
     ),
     PRELOAD,
+    CENTRE,
 )
 Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)
 
@@ -63,7 +64,7 @@ Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)
 def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, force: Array) -> None:
     for k in range(len(x)):
         c = named_row(Coefficients, q, k)
-        peak = _peak_speed(x[k], v[k], a[k], c.highest_peak_speed)
+        peak = _peak_speed(x[k] - c.centre, v[k], a[k], c.highest_peak_speed)
         branch = 1.0 if a[k].real > 0.0 else -1.0 if a[k].real < 0.0 else 0.0
         height = 0.5 * (1.0 + exp(c.transition_growth * peak))
         steepness = c.steepness / (1.0 + c.steepness_decay * peak)
@@ -89,8 +90,8 @@ def _peak_speed(x: Any, v: Any, a: Any, highest: Any) -> Any:
 MODEL = DamperModel(
     id="sigmoid",
     title="Sigmoid (Wang/Ma)",
-    equation="F = f_t h tanh(a (x' - v_h sgn x'') / 2) (1 + k_v |x'|) + f0, x from the middle of the stroke, "
-    "peak speed v_m = sqrt(x'^2 - x x''), h = (1 + exp(a1 v_m)) / 2, a = a0 / (1 + k0 v_m), v_h = k4 v_m, "
+    equation="F = f_t h tanh(a (x' - v_h sgn x'') / 2) (1 + k_v |x'|) + f0, x_m the middle of the strokes, "
+    "peak speed v_m = sqrt(x'^2 - (x - x_m) x''), h = (1 + exp(a1 v_m)) / 2, a = a0 / (1 + k0 v_m), v_h = k4 v_m, "
     "k_v = k1 exp(-a4 v_m)",
     source="Wang et al., Proc. IMechE D 217 (2003); Ma et al. (2003, 2007). Their S(I), for I_j = 0, is the law tanh",
     coefficients=COEFFICIENTS,
