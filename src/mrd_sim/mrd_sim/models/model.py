@@ -40,14 +40,7 @@ BLOCK = 512
 """Vertices of which the coefficients with their derivatives are kept at a time: as many as a processor's cache holds."""
 
 MID_STROKE = Parameter(
-    "mid_stroke",
-    "m",
-    0.0,
-    0.0,
-    0.0,
-    "reading of the position at mid-stroke, from which x counts",
-    free=False,
-    place="mid_stroke",
+    "mid_stroke", "m", 0.0, 0.0, 0.0, "reading of the position at mid-stroke, where x is 0", free=False, place="mid_stroke"
 )
 COIL_LAG = Parameter(
     "coil_lag",
@@ -391,13 +384,7 @@ class DamperModel:
         path = self.integrated(path)
         x, v, a, current, force = (
             like(theta, series)
-            for series in (
-                path.position - self._mid_stroke(theta),
-                path.velocity,
-                path.acceleration,
-                path.current,
-                np.zeros(len(path.dt)),
-            )
+            for series in (self._place(theta, path), path.velocity, path.acceleration, path.current, np.zeros(len(path.dt)))
         )
         if self.effects and theta.dtype == float:  # effects change the signals in place
             x, v, a, current = (series.copy() for series in (x, v, a, current))
@@ -457,6 +444,11 @@ class DamperModel:
     def _mid_stroke(self, theta: Array) -> float:
         """Return the reading of the position at mid-stroke in m, a constant without derivatives."""
         return float(theta.real[len(self._model_parameters) - 2])
+
+    def _place(self, theta: Array, path: Path) -> Array:
+        """Return the position (m,) in m from mid-stroke."""
+        middle = self._mid_stroke(theta)
+        return path.position - middle if middle else path.position
 
     def _lagged(self, theta: Array, state: Array, dt: Array, current: Array) -> Array:
         """Return the effective current in A behind the coil lag of the model."""
@@ -550,7 +542,7 @@ class DamperModel:
         chosen = path.samples[samples]
         groups = filled.reshape(-1, CANDIDATES, filled.shape[1])
         # Mid-stroke is a constant, the same for all candidates.
-        path = replace(path, position=path.position - self._mid_stroke(thetas[0]))
+        path = replace(path, position=self._place(thetas[0], path))
         forces = [force_in_lanes(self.kernel, self.states, group, laws, path, chosen) for group in groups]
         return (forces[0] if len(forces) == 1 else np.concatenate(forces))[: len(thetas)]
 
@@ -580,11 +572,8 @@ class DamperModel:
         without[:, self.linear] = 0.0
         chosen = path.samples[samples]
         rests = self.forces_of(without, path, samples) if self._has_rest else np.zeros((len(thetas), len(chosen)))
-        multiplied = {
-            "x": path.position[chosen] - self._mid_stroke(thetas[0]),
-            "v": path.velocity[chosen],
-            "1": np.ones(len(chosen)),
-        }
+        position = self._place(thetas[0], path)
+        multiplied = {"x": position[chosen], "v": path.velocity[chosen], "1": np.ones(len(chosen))}
         bases: dict[int, Array] = {}
         for j, coefficient in enumerate(self.coefficients):
             if coefficient.multiplies == "term":
