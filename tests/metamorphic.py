@@ -51,11 +51,16 @@ ODD = {
     "bypass_flow.preload",
     "side_load_friction.centre",
     "channel_crosstalk.from_current",
+    "end_stop.upper",
+    "end_stop.lower",
 }
 """Parameters that change their sign where motion and force do. Gas spring and cavitation have one direction by nature."""
 
-POSITIONS = {"side_load_friction.centre"}
+POSITIONS = {"side_load_friction.centre", "end_stop.upper", "end_stop.lower"}
 """Parameters that are positions of the rod. They move with the zero of its sensor, as long as this counts as mid-stroke."""
+
+OPPOSITE = {"end_stop.upper": "end_stop.lower", "end_stop.lower": "end_stop.upper"}
+"""Parameters that become each other where motion and force change their signs."""
 
 
 @dataclass(frozen=True)
@@ -363,7 +368,8 @@ def differences(change: Change, outcome: Outcome, unchanged: Outcome, half_strok
     is_same = change.is_of_units and set(outcome.causes) == set(unchanged.causes)
     for name in outcome.sizes.keys() & unchanged.sizes.keys():
         value, lower, upper, unit = outcome.sizes[name]
-        must, *ends = (change.expected(name, unit, end, half_stroke) for end in unchanged.sizes[name][:3])
+        known = unchanged.sizes[OPPOSITE.get(name, name) if change.mirrored else name]
+        must, *ends = (change.expected(name, unit, end, half_stroke) for end in known[:3])
         if not np.isfinite([lower, upper, *ends]).all():
             continue
         least, most = sorted(ends)

@@ -16,7 +16,7 @@ QUICK = {"population": 20, "generations": 10, "seeds": 1}
 FEW, FEW_RUNS = ("joint_play", "seal_friction", "force_sensor_lag", "moving_mass"), 3
 """Candidates and number of runs of the quick tests."""
 
-ALL_SETS = ("worn_joint", "healthy", "joint_play", "force_sensor_lag", "seal_friction", "measured")
+ALL_SETS = ("worn_joint", "healthy", "joint_play", "force_sensor_lag", "seal_friction", "end_stop", "measured")
 
 
 @cache
@@ -91,6 +91,7 @@ def drawn(name, kind):
         ("healthy", "zero"),
         ("seal_friction", "mirror"),
         ("joint_play", "zero"),
+        ("end_stop", "mirror"),
     ],
 )
 def test_a_changed_recording_gets_the_same_answer(name, kind, tmp_path):

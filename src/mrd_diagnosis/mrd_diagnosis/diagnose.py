@@ -8,7 +8,7 @@ import numpy as np
 
 from mrd_base import InputError
 from mrd_base.progress import ignore
-from mrd_diagnosis.decision.conclusion import Conclusion, conclude
+from mrd_diagnosis.decision.conclusion import Conclusion, conclude, worse_by_runs
 from mrd_diagnosis.description import describe
 from mrd_diagnosis.diagnosis import Diagnosis, Finding
 from mrd_diagnosis.explain_change import explain_change
@@ -108,6 +108,8 @@ def diagnose(
         model = parameters.model
     laws = laws if laws is not None else (parameters.laws if parameters else None)
     scales = scales_of([*reference, *runs])
+    if parameters and "mid_stroke" in parameters.values:
+        scales = scales.counted_from(parameters.values["mid_stroke"])
     base = find_model(START_OF_CHOICE if model == BEST_MODEL else model, laws, scales=scales)
     theta = parameters_as_given(base, parameters)
     progress("checking the recordings", 0.0)
@@ -203,5 +205,7 @@ def _diagnose_physics(start: Start, candidates: Sequence[str], findings: tuple[F
         progress("done", 1.0)
         return _limited(start.model, request, findings, conclusion)
     diagnosis = describe(start, request, findings, fit, fitted, conclusion, rng)
+    if diagnosis.causes and diagnosis.gap is not None and diagnosis.gap.closed_fraction.upper < 0.0:
+        diagnosis = describe(start, request, findings, fit, fitted, worse_by_runs(conclusion), rng)
     diagnosis = replace(diagnosis, untestable=(*diagnosis.untestable, *untestable))
     return replace(diagnosis, sentence=verdict_sentence(diagnosis))

@@ -212,7 +212,7 @@ def test_an_odd_multisine_tells_noise_from_distortion():
     (run,) = recorded(seed=11, only={"odd": odd})
     body = cut(run, run.duration - 7.5, run.duration - 1.2)
     diagnosis = diagnose([body], "bouc_wen", effects=("moving_mass",))
-    assert any("an odd multisine" in note and "even lines" in note for note in diagnosis.notes)
+    assert any("odd harmonics only" in note and "at even harmonics" in note for note in diagnosis.notes)
 
 
 def test_faulty_recordings_stop_the_diagnosis(delayed):

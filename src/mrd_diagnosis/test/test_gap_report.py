@@ -404,7 +404,7 @@ def test_every_effect_that_was_tried_has_a_card_or_a_row(closed, has_card):
 def test_the_smallest_detectable_size_is_a_clause_in_units_that_a_reader_knows():
     assert clause_of_size(EFFECTS["cavitation"], 2e-3) == "cavitation limits the force in compression to 500 N"
     assert clause_of_size(EFFECTS["flow_asymmetry"], 0.0096).startswith("the force differs by 0.96 % in extension")
-    assert clause_of_size(EFFECTS["end_stop"], 2e4).endswith("off mid-stroke, with a stiffness of 20 kN/m²")
+    assert clause_of_size(EFFECTS["end_stop"], 2e4).endswith("where it is compressed, with a stiffness of 20 kN/m²")
 
 
 def test_the_size_of_an_alternative_is_reported(tmp_path):

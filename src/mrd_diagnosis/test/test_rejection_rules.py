@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from mrd_base import InputError
 from mrd_diagnosis import diagnose
 from mrd_diagnosis.decision import causes
+from mrd_diagnosis.decision.conclusion import Conclusion, worse_by_runs
+from mrd_diagnosis.decision.explanation import Explanation
 from mrd_diagnosis.decision.rejection_rules import RULES, Claim, markdown_table, rejecting_rule
-from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Finding, Interval, ParameterEstimate
+from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Cause, Finding, Interval, ParameterEstimate
 from mrd_diagnosis.fitting.base_fit import LinearisedRefit
 from mrd_diagnosis.recordings.imitating_limitations import clock_finding, imitating_limitations
 from mrd_diagnosis.report.gap_file import to_json
@@ -264,3 +266,12 @@ def test_an_effect_is_not_explained_where_another_damper_model_does_as_much(monk
     assert diagnosis.verdict in ("ambiguous", "unknown_effect")
     monkeypatch.setattr(module, "fit_alternative_models", partial(as_good, "gas_spring"))
     assert diagnose(runs, "bouc_wen", effects=("channel_delay", "gas_spring")).verdict == "explained"
+
+
+def test_what_predicts_each_run_worse_from_the_others_is_no_cause():
+    """Although segments of the runs are predicted better: an end stop had been moved between the runs."""
+    cause = Cause("end_stop", 0.6, 1e-3, Interval(0.4, 0.2, 0.6), {})
+    explanation = Explanation("partly_explained", None, {"end_stop": {"end_stop": 0.6}}, {"end_stop": 1e-3})
+    found = worse_by_runs(Conclusion(explanation, None, (cause,)))
+    assert (found.causes, found.explanation.verdict) == ((), "unknown_effect")
+    assert [(entry.effect, entry.rule, entry.chosen) for entry in found.rejected] == [("end_stop", "worse", True)]

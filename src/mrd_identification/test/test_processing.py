@@ -109,7 +109,7 @@ def test_a_force_without_sharp_reversals_is_no_processing():
 def test_an_end_stop_is_no_processing():
     rod, coil = EXPERIMENTS["slow"]
     text = f"name: slow\nduration_s: 15\nrate_hz: 500\nrod: {rod}\ncoil: {coil}\n"
-    damper = Damper("bouc_wen", effects={"end_stop": {"stiffness": 5e6, "limit": 0.008}})
+    damper = Damper("bouc_wen", effects={"end_stop": {"stiffness": 5e6, "upper": 0.008, "lower": -0.008}})
     run = measure_plan(plan(parse_experiment(text, "slow"), Limits(), ForceEnvelope()), damper, np.random.default_rng(5))
     assert processing_of(run) == Processing()
 

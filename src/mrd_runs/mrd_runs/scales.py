@@ -5,7 +5,7 @@ The ranges of parameters are stated in these scales.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -70,6 +70,10 @@ class Scales:
     def time(self) -> float:
         """Time in s of half a stroke at the speed of the fast strokes."""
         return self.stroke / self.speed
+
+    def counted_from(self, mid_stroke: float) -> "Scales":
+        """Return the scales with another reading of the position in m as mid-stroke."""
+        return replace(self, mid_stroke=mid_stroke, centre=self.mid_stroke + self.centre - mid_stroke)
 
     def factor(self, unit: str) -> float:
         """Return by how much a quantity of this SI unit is larger here than with the reference damper."""

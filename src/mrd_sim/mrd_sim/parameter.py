@@ -18,8 +18,8 @@ class Parameter:
     scales, by the unit: a play in m with the stroke, a viscous coefficient in N s/m with force, time and stroke. A number
     that is ``absolute`` stays, for the reason given there. ``log`` asks for a logarithmic scale between the bounds. A
     parameter that is not ``free`` keeps its default unless it is set or freed by name. One whose bounds are its default is a
-    constant of the equation, to which other parameters refer; it is never searched, and grows by powers of ten. A constant
-    that is a ``place`` is the one of this name in the scales (`mrd_runs.scales.Scales`), 0 for the reference damper.
+    constant of the equation, to which other parameters refer; it is never searched, and grows by powers of ten. A ``place``
+    on the stroke counts from the one of this name in the scales (`mrd_runs.scales.Scales`), 0 for the reference damper.
     """
 
     name: str
@@ -48,16 +48,18 @@ class Parameter:
 
     def scaled(self, scales: Scales) -> "Parameter":
         """Return the parameter with default and bounds for a damper of these scales."""
-        if self.place:
-            place = float(getattr(scales, self.place))
-            return replace(self, default=place, lower=place, upper=place)
-        factor = self.factor(scales)
-        return replace(self, default=self.default * factor, lower=self.lower * factor, upper=self.upper * factor)
+        default, lower, upper = (self.at_scales(value, scales) for value in (self.default, self.lower, self.upper))
+        return replace(self, default=default, lower=lower, upper=upper)
+
+    def at_scales(self, value: float, scales: Scales) -> float:
+        """Return a value, stated for the reference damper, for a damper of these scales."""
+        value *= self.factor(scales)
+        return value + float(getattr(scales, self.place)) if self.place else value
 
     @property
     def rule(self) -> str:
         """Scales of the recordings with which the bounds grow, such as ``force / stroke``; empty where they stay."""
-        return "" if self.absolute or self.place else rule(self.unit)
+        return "" if self.absolute else rule(self.unit)
 
     def factor(self, scales: Scales) -> float:
         """Return by how much the parameter is larger for a damper of these scales than for the reference damper."""

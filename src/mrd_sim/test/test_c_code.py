@@ -66,7 +66,7 @@ CASES |= {
 CASES |= {
     f"{name}_off_zero": (
         find_model(name, effects=("end_stop",)),
-        typical_values(("end_stop",)) | {"end_stop.limit": 0.008, "mid_stroke": 0.004},
+        typical_values(("end_stop",)) | {"end_stop.upper": 0.008, "end_stop.lower": -0.007, "mid_stroke": 0.004},
     )
     for name in ("bouc_wen", "hyperbolic_tangent")
 }

@@ -218,7 +218,7 @@ def test_side_load_friction_is_a_bow_tie():
 def test_end_stop_pushes_back_beyond_its_limit_only():
     motion = sine()
     x = motion[1]
-    found = added("end_stop", {"stiffness": 1e7, "limit": 0.018}, motion)
+    found = added("end_stop", {"stiffness": 1e7, "upper": 0.018, "lower": -0.018}, motion)
     assert np.array_equal(found != 0, np.abs(x) > 0.018)
     assert found[x.argmin()] == pytest.approx(-1e7 * 0.002**2)
     assert found[x.argmax()] == pytest.approx(1e7 * 0.002**2)
@@ -228,7 +228,7 @@ def test_end_stop_pushes_back_beyond_its_limit_only():
 def test_end_stop_follows_a_power_of_its_depth(exponent: float):
     motion = sine()
     depth = motion[1] - 0.014
-    found = added("end_stop", {"stiffness": 1e7, "limit": 0.014, "exponent": exponent}, motion)
+    found = added("end_stop", {"stiffness": 1e7, "upper": 0.014, "lower": -0.014, "exponent": exponent}, motion)
     assert found[depth > 0] == pytest.approx(40.0 * (depth[depth > 0] / 0.002) ** exponent)
 
 

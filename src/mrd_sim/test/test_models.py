@@ -243,7 +243,11 @@ def test_odd_without_offset(name, examples, seed):
 def test_position_counts_from_mid_stroke(name, effects):
     """A sensor may count from anywhere."""
     model = find_model(name, effects=effects)
-    values = {"end_stop.stiffness": 1e8, "end_stop.limit": 5e-3, "joint_play.play": 2e-4} if effects else {}
+    values = (
+        {"end_stop.stiffness": 1e8, "end_stop.upper": 5e-3, "end_stop.lower": -4e-3, "joint_play.play": 2e-4}
+        if effects
+        else {}
+    )
     time, x, v, a, current = sine()
     near, far = (make_path(time, x + zero, v, a, current) for zero in (1e-5, 0.4 + 1e-5))
     theta, moved = model.vector(values), model.vector({**values, "mid_stroke": 0.4})

@@ -8,7 +8,7 @@ import numpy as np
 from mrd_diagnosis.closure.closure import closed_fraction_between
 from mrd_diagnosis.decision.causes import name_causes, with_intervals_of_all_forms
 from mrd_diagnosis.decision.explanation import Explanation
-from mrd_diagnosis.decision.rejection_rules import Claim, Rule, rejecting_rule
+from mrd_diagnosis.decision.rejection_rules import RULES, Claim, Rule, rejecting_rule
 from mrd_diagnosis.decision.verdict import verdict_after_rejection
 from mrd_diagnosis.diagnosis import AlternativeModel, Candidate, Cause, Finding, Rejected
 from mrd_diagnosis.recordings.imitating_limitations import clock_finding, imitating_limitations
@@ -94,6 +94,34 @@ def conclude(
         named = list(name_causes(replace(explanation, comparison=complete), rng))
     causes = tuple(with_intervals_of_all_forms(cause, explanation) for cause in named)
     return Conclusion(explanation, complete, causes, tuple(rejected), tuple(dict.fromkeys(reasons)))
+
+
+def worse_by_runs(conclusion: Conclusion) -> Conclusion:
+    """Reject all causes, since with them each run is predicted worse from the others than without.
+
+    Segments of one run may say otherwise: an end stop that was moved between the runs is predicted well within each.
+    """
+    rule = next(rule for rule in RULES if rule.id == "worse")
+    rejected = [
+        Rejected(
+            cause.effect,
+            rule.id,
+            rule.sentence,
+            True,
+            cause.probability,
+            cause.p_value,
+            cause.closed_fraction,
+            cause.parameters,
+        )
+        for cause in conclusion.causes
+    ]
+    verdict = verdict_after_rejection(conclusion.explanation.verdict, [], [rule] * len(rejected), [])
+    return replace(
+        conclusion,
+        explanation=replace(conclusion.explanation, verdict=verdict),
+        causes=(),
+        rejected=(*rejected, *conclusion.rejected),
+    )
 
 
 def _claims(

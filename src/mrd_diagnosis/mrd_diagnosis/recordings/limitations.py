@@ -9,6 +9,7 @@ from mrd_base import InputError
 from mrd_diagnosis.diagnosis import RunNoise, UntestableEffect
 from mrd_diagnosis.recordings.multisine import distortion
 from mrd_diagnosis.recordings.repetition import repeating_period
+from mrd_diagnosis.wording.quantities import format_quantity
 from mrd_identification.needs import needs_met
 from mrd_identification.recording import Recording, current_levels
 from mrd_sim.effects import EFFECTS, NEEDS
@@ -82,10 +83,12 @@ def _distortion_note(recording: Recording) -> str:
     if levels is None:
         return ""
     if levels.excited == 1:
-        motion, even, odd = "a sine", "even multiples of its frequency", "odd multiples"
+        motion, even, odd = "is a sine", "even multiples of its frequency", "odd multiples"
     else:
-        motion, even, odd = "an odd multisine", "even lines", "odd lines that are not excited"
+        motion, even, odd = "has a motion of odd harmonics only", "even harmonics", "odd ones that the motion has not"
+    noise, of_even, of_odd = (format_quantity(level, "N") for level in (levels.noise, levels.even, levels.odd))
+    beside = f" and {of_odd} rms at {odd} (friction, hysteresis)" if np.isfinite(levels.odd) else ""
     return (
-        f"Run {run.name} is {motion}. Its force differs by {levels.noise:.1f} N rms from period to period (noise); "
-        f"{levels.even:.1f} N rms lie at {even} (asymmetry) and {levels.odd:.1f} N rms at {odd} (friction, hysteresis)."
+        f"Run {run.name} {motion}. Its force differs by {noise} rms from period to period (noise); {of_even} rms lie at "
+        f"{even} (asymmetry){beside}."
     )

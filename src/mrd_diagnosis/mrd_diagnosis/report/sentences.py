@@ -108,8 +108,8 @@ def _explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that names the causes."""
     text = f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}).{_removal(diagnosis, gap)}"
     beyond = gap.extrapolated
-    if beyond is not None and beyond.value < gap.closed_fraction.lower:
-        share = format_share(beyond.value)
+    share = format_share(beyond.value) if beyond is not None else ""
+    if beyond is not None and beyond.value < gap.closed_fraction.lower and share != format_share(gap.closed_fraction.value):
         text += f" On the runs that go beyond the others in stroke, speed or current, this removes only {share}."
     return text
 

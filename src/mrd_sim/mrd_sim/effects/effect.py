@@ -159,18 +159,21 @@ class Effect:
         """Return the effect with ranges, typical values and start values for a damper of these scales."""
         if scales == REFERENCE:
             return self
-        factors = {parameter.name: parameter.factor(scales) for parameter in self.parameters}
-        starts, size, force_ratio = self.starts, self.parameters[0].name, scales.factor("N")
+        known = {parameter.name: parameter for parameter in self.parameters}
+        starts, size, force_ratio = self.starts, self.parameters[0], scales.factor("N")
+
+        def at_scales(values: Mapping[str, float]) -> dict[str, float]:
+            return {name: known[name].at_scales(value, scales) for name, value in values.items()}
 
         def scaled_starts(force: Array) -> Sequence[float]:
             assert starts is not None
-            return [value * factors[size] for value in starts(force / force_ratio)]
+            return [size.at_scales(value, scales) for value in starts(force / force_ratio)]
 
         return replace(
             self,
             parameters=tuple(parameter.scaled(scales) for parameter in self.parameters),
-            typical={name: value * factors[name] for name, value in self.typical.items()},
-            variants=[{name: value * factors[name] for name, value in variant.items()} for variant in self.variants],
+            typical=at_scales(self.typical),
+            variants=[at_scales(variant) for variant in self.variants],
             starts=scaled_starts if starts else None,
         )
 
