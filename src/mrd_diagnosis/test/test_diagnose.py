@@ -205,6 +205,13 @@ def test_held_out_runs_judge(delayed):
     assert diagnosis.gap.closed_fraction.value > 0.9
 
 
+def test_a_fit_says_where_mid_stroke_is():
+    runs = [replace(run, position=run.position + 0.022) for run in recorded(seed=3)]
+    simulator = StoredFit("bouc_wen", {}, (), {**DAMPER, "mid_stroke": 0.022}, {})
+    diagnosis = diagnose(runs, "bouc_wen", parameters=simulator, effects=("moving_mass",))
+    assert (diagnosis.verdict, diagnosis.corrected.parameters["mid_stroke"]) == ("no_gap", 0.022)
+
+
 def test_an_odd_multisine_tells_noise_from_distortion():
     odd = """
         rod: {waveform: multisine, amplitude_mm: 8, lowest_hz: 0.5, highest_hz: 4, period_s: 2, rolloff: 1, seed: 0}

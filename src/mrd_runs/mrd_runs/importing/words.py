@@ -13,7 +13,8 @@ WORDS: Mapping[str, frozenset[str]] = {
         "velocity": "velocity vel speed v xdot geschwindigkeit vitesse velocidad velocidade velocita",
         "acceleration": "acceleration accel acc a beschleunigung aceleracion aceleracao accelerazione",
         "force": "force f load loadcell effort kraft fuerza forca forza",
-        "current": "current curr cur i amp amps ampere amperes amperage coil strom courant corriente corrente",
+        "current": "current curr cur i coil amp amps ampere amperes amperage milliamp milliamps milliampere milliamperes strom "
+        "courant corriente corrente",
         "temperature": "temperature temp temperatur temperatura",
     }.items()
 }
