@@ -158,19 +158,22 @@ def _with_floor(weighting: Weighting, refits: Sequence[Refit]) -> Weighting:
     less; before and after the change each for itself.
     """
     noise = list(weighting.noise)
+    unexplained = 0.0
     for before in (True, False):
         runs = [run for run, recording in enumerate(weighting.recordings) if recording.without_effects == before]
         folds = [fold for fold, (run, _) in enumerate(weighting.folds) if run in runs]
         left = float(min(fitted.held_out_squares[folds].sum() for fitted in refits))
         variance = np.concatenate([noise[run].sigma for run in runs]) ** 2
         excess = (left - float(variance.sum())) / len(variance)
+        unexplained += max(excess, 0.0) * len(variance)
         for run in runs:
             # Where the noise was estimated too large, its distribution over the samples is wrong as well.
             squares = (
                 noise[run].sigma ** 2 + excess if excess > 0.0 else np.full(len(noise[run].sigma), left / len(variance))
             )
             noise[run] = replace(noise[run], sigma=np.sqrt(squares))
-    return replace(weighting, noise=noise, discrepancy=0.0)
+    share = unexplained / sum(float(np.sum(of_run.sigma**2)) for of_run in noise)
+    return replace(weighting, noise=noise, discrepancy=0.0, unexplained=share)
 
 
 def _null_errors(weighting: Weighting, fitted: Refit) -> list[Array]:

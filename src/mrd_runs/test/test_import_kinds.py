@@ -123,7 +123,7 @@ def test_units_are_converted_wherever_they_stand(imported: Any, tmp_path: Path, 
     np.testing.assert_allclose(run.force, force(TIME), atol=1e-3)
 
 
-@pytest.mark.parametrize(("name", "factor"), [("Amps", 1.0), ("coil amperage", 1.0), ("milliamps", 1e3)])
+@pytest.mark.parametrize(("name", "factor"), [("Amps", 1.0), ("coil amperage", 1.0), ("Milliamps mA", 1e3)])
 def test_a_current_may_be_named_by_its_unit(imported: Any, tmp_path: Path, name: str, factor: float) -> None:
     """The proposed mapping left such a column out, and gave a constant current instead."""
     current = 0.5 + 0.4 * np.sin(TIME)

@@ -63,8 +63,8 @@ def model_probabilities(
 
     Whether any effect is there hardly depends on its formula, but which one of several that look alike does. So the effects
     share their probability by a second temperature, by what the formulas of look-alikes may be wrong: a share of what the
-    best leaves (`Thresholds.alike_remaining_error`), at most one of what it closes (`Thresholds.alike_formula_error`). In a
-    comparison of before and after, what no effect explains counts as noise, so that nothing shows how wrong they are.
+    best leaves (`Thresholds.alike_remaining_error`), at most one of what it closes (`Thresholds.alike_formula_error`). Of a
+    change, what no effect explains counts as noise elsewhere; here it is left as well.
 
     Parameters
     ----------
@@ -91,9 +91,8 @@ def model_probabilities(
     shares = softmax(log_likelihoods / max(dispersion, 0.5 * wrong), axis=1)
     acting = np.array([bool(effect) for effect in effects or ()])
     if acting.sum() > 1:
-        compared = any(recording.without_effects for recording in best.problem.recordings)
-        known = np.inf if compared else THRESHOLDS.alike_remaining_error * left
-        wrong = max(wrong, min(THRESHOLDS.alike_formula_error * closed, known))
+        left += float(totals.min()) * best.problem.unexplained
+        wrong = max(wrong, min(THRESHOLDS.alike_formula_error * closed, THRESHOLDS.alike_remaining_error * left))
         of_effects = shares[:, acting].sum(axis=1, keepdims=True)
         shares[:, acting] = of_effects * softmax(log_likelihoods[:, acting] / max(dispersion, 0.5 * wrong), axis=1)
     return np.asarray(shares.mean(axis=0))

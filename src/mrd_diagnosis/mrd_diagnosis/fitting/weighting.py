@@ -133,11 +133,14 @@ class WeightedProblem(Problem):
         Columns in N of a linear function that is added to the modelled force of each run, see
         `mrd_diagnosis.wrong_form.form_remainder`. The prior of its coefficients is a standard normal distribution. Empty
         where the model stands alone.
+    unexplained : float
+        See `Weighting`.
     """
 
     whitenings: tuple[Whitening, ...] = ()
     sigmas: tuple[Array, ...] = ()
     remainder: tuple[Array, ...] = ()
+    unexplained: float = 0.0
 
     def whitened(self, errors: Array) -> Array:
         """Return the white errors (samples,)."""
@@ -234,6 +237,8 @@ class Weighting:
         otherwise they would compensate for what is missing.
     remainder : tuple of ndarray (n, columns)
         See `WeightedProblem`. Beside it, only the parameters of effects are searched.
+    unexplained : float
+        Share of the variance of the noise that is no noise, but what no effect explains.
     """
 
     recordings: Sequence[Recording]
@@ -243,6 +248,7 @@ class Weighting:
     discrepancy: float = 0.0
     error_correlation: float = 1.0
     remainder: tuple[Array, ...] = ()
+    unexplained: float = 0.0
 
     def problem(self, model: DamperModel, theta: Array, freed: Sequence[str] = ()) -> WeightedProblem:
         """Make the fitting problem of a model on these recordings.
@@ -266,7 +272,14 @@ class Weighting:
         sigmas = tuple(noise.sigma for noise in self.noise)
         whitenings = self._whitenings(consecutive_forces(model, theta, self.recordings))
         return WeightedProblem(
-            plain.model, plain.recordings, free, base, whitenings=whitenings, sigmas=sigmas, remainder=self.remainder
+            plain.model,
+            plain.recordings,
+            free,
+            base,
+            whitenings=whitenings,
+            sigmas=sigmas,
+            remainder=self.remainder,
+            unexplained=self.unexplained,
         )
 
     def _whitenings(self, forces: Sequence[Array]) -> tuple[Whitening, ...]:

@@ -13,8 +13,8 @@ WORDS: Mapping[str, frozenset[str]] = {
         "velocity": "velocity vel speed v xdot geschwindigkeit vitesse velocidad velocidade velocita",
         "acceleration": "acceleration accel acc a beschleunigung aceleracion aceleracao accelerazione",
         "force": "force f load loadcell effort kraft fuerza forca forza",
-        "current": "current curr cur i coil amp amps ampere amperes amperage milliamp milliamps milliampere milliamperes strom "
-        "courant corriente corrente",
+        "current": "current curr cur i coil strom courant corriente corrente amp amps ampere amperes amperage milliamp "
+        "milliamps milliampere milliamperes",
         "temperature": "temperature temp temperatur temperatura",
     }.items()
 }
