@@ -51,7 +51,7 @@ class Scales:
     mid_stroke : float
         Reading of the position in m that counts as mid-stroke.
     centre : float
-        m from there to the middle of the recorded positions.
+        m from there to the middle of the recorded strokes; 0 where these are about mid-stroke.
     """
 
     force: float
@@ -94,8 +94,9 @@ REFERENCE = Scales(force=1200.0, stroke=0.02, speed=0.1, current=1.0)
 SMALLEST = Scales(force=1.0, stroke=2e-4, speed=1e-3, current=5e-3)
 LARGEST = Scales(force=2e6, stroke=1.0, speed=10.0, current=50.0)
 """Scales beyond those of any damper on a bench."""
-FAR_FROM_ZERO = 1.5
-"""Times half the recorded stroke. Where its middle is farther from zero, a position of zero cannot be mid-stroke."""
+FAR_FROM_ZERO, NEAR_ZERO = 1.5, 0.1
+"""Times half the recorded stroke. Where its middle is farther from zero, a position of zero cannot be mid-stroke; where it
+is nearer, the strokes are about zero."""
 
 FASTEST, SLOWEST = 1e-3, 1e3
 """Times of the fastest and of the slowest recordings over those of the reference damper."""
@@ -131,9 +132,10 @@ def scales_of(runs: Sequence[Run]) -> Scales:
     )
     ends = [_ends(run.position) for run in runs]
     low, high = min(low for low, _ in ends), max(high for _, high in ends)
-    middle = 0.5 * (low + high)
-    mid_stroke = middle if abs(middle) > FAR_FROM_ZERO * 0.5 * (high - low) else 0.0
-    return Scales(force, stroke, speed, current, mid_stroke, middle - mid_stroke)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    if abs(middle) > FAR_FROM_ZERO * half:
+        return Scales(force, stroke, speed, current, mid_stroke=middle)
+    return Scales(force, stroke, speed, current, centre=middle if abs(middle) > NEAR_ZERO * half else 0.0)
 
 
 def rule(unit: str) -> str:
