@@ -24,6 +24,7 @@ from scipy.io import savemat
 
 from mrd_base import InputError
 from mrd_diagnosis import Diagnosis, diagnose
+from mrd_diagnosis.diagnosis import UNDETERMINED
 from mrd_identification import Fit, identify
 from mrd_runs import Run, read_runs
 from mrd_runs.scales import FAR_FROM_ZERO
@@ -321,11 +322,12 @@ def _write(stem: Path, columns: Columns, file_format: str) -> Path:
 
 
 def _sizes(diagnosis: Diagnosis) -> dict[str, tuple[float, float, float, str]]:
-    return {
-        f"{cause.effect}.{name.rsplit('.', 1)[-1]}": (size.value.value, size.value.lower, size.value.upper, size.unit)
-        for cause in diagnosis.causes
-        for name, size in cause.parameters.items()
-    }
+    sizes = {}
+    for cause in diagnosis.causes:
+        for name, size in cause.parameters.items():
+            ends = (np.nan, np.nan) if size.remark == UNDETERMINED else (size.value.lower, size.value.upper)
+            sizes[f"{cause.effect}.{name.rsplit('.', 1)[-1]}"] = (size.value.value, *ends, size.unit)
+    return sizes
 
 
 def _classes(diagnosis: Diagnosis) -> dict[str, tuple[float, frozenset[str]]]:

@@ -42,7 +42,7 @@ SHORT_SET = ("01_multisine", "02_slow_stroke", "05_current_steps", "07_fast_sine
 CAUSES: Mapping[str, Mapping[str, float]] = {
     "joint_play": {"play": 4e-4, "resistance": 25e3, "film": 0.5},
     "force_sensor_lag": {"lag": 8e-3},
-    "end_stop": {"stiffness": 2e7, "upper": 0.016, "lower": -0.03, "exponent": 1.5},
+    "end_stop": {"stiffness": 2e7, "upper": 0.016, "lower": -0.03, "exponent": 2.0},
     "seal_friction": {"coulomb": 60.0, "stiction": 0.6, "stribeck_speed": 4e-3, "presliding": 3e-5},
 }
 

@@ -134,11 +134,14 @@ def effect_parameters(refitted: Refit) -> dict[str, ParameterEstimate]:
         units[:, place] = ends
         lower, upper = problem.theta(units)[:, index]
         remark = ""
-        if unit[place] < BOUND_TOLERANCE or unit[place] > 1 - BOUND_TOLERANCE:
-            if refitted.theta[index] != parameter.default:
-                remark = ON_BOUND
-        elif ends[0] == 0.0 and ends[1] == 1.0:
+        is_open = ends[0] == 0.0 and ends[1] == 1.0
+        is_on_bound = unit[place] < BOUND_TOLERANCE or unit[place] > 1 - BOUND_TOLERANCE
+        # A size on its bound may be a larger one. Any other number, such as the place of a stop that no stroke reaches, may
+        # stand there by chance.
+        if is_open and not (is_on_bound and name == EFFECTS[effect].parameters[0].name):
             remark = UNDETERMINED
+        elif is_on_bound and refitted.theta[index] != parameter.default:
+            remark = ON_BOUND
         interval = Interval(float(refitted.theta[index]), float(lower), float(upper))
         estimates[parameter.name] = ParameterEstimate(interval, parameter.unit, remark)
     usual = {f"{effect}.{p.name}": p.default for effect in refitted.effects for p in EFFECTS[effect].parameters}

@@ -10,7 +10,7 @@ from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
     Parameter("slope", "N/m", 0.0, 0.0, 12000.0, "friction over the distance from the centre, F_1"),
-    Parameter("centre", "m", 0.0, -0.025, 0.025, "position of the least friction, x_c"),
+    Parameter("centre", "m", 0.0, -0.025, 0.025, "position of the least friction, x_c", place="centre"),
     Parameter("presliding", "m", 3e-5, 5e-6, 2e-4, "travel over which the guide gives before it slides, x_p", log=True),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
