@@ -51,7 +51,7 @@ static double lagged(coil *c, double current, double dt, double lag)
 
 typedef struct {
     double yield_force, yield_force_per_A, yield_travel, yield_travel_per_A, shape, exponent;
-    double viscous, viscous_per_A, stiffness, offset, coil_lag;
+    double viscous, viscous_per_A, stiffness, offset, mid_stroke, coil_lag;
 } bouc_wen_parameters;
 
 void bouc_wen(const bouc_wen_parameters *p, long vertices, const double *dt, const double *x, const double *v,
@@ -74,7 +74,7 @@ void bouc_wen(const bouc_wen_parameters *p, long vertices, const double *dt, con
 
 typedef struct {
     double yield_force, yield_force_per_A, yield_travel, yield_travel_per_A, shape, exponent;
-    double viscous, viscous_per_A, series_viscous, series_viscous_per_A, stiffness, accumulator_stiffness, offset, coil_lag;
+    double viscous, viscous_per_A, series_viscous, series_viscous_per_A, stiffness, accumulator_stiffness, offset, mid_stroke, coil_lag;
 } modified_bouc_wen_parameters;
 
 /* Travel of the element in m or in yield travels, and the state after it. */

@@ -66,7 +66,7 @@ def _slopes(t: float, s: Array, p: Array, velocity: Array, current: Array) -> Ar
     w, u = s
     speed = _interpolate(velocity, t)
     rise = speed - p[4] * abs(speed) * w * abs(w) - (1.0 - p[4]) * speed * w * w
-    lag = max(p[10], 1e-5)  # LSODA fails without a lag.
+    lag = max(p[-1], 1e-5)  # LSODA fails without a lag.
     return np.array([rise / max(p[2] + p[3] * u, 2e-6), (_interpolate(current, t) - u) / lag])
 
 

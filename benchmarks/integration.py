@@ -51,7 +51,7 @@ def _state_slope(w: float, speed: float, sigma: float) -> float:
 @njit(cache=True)
 def _bouc_wen(t: float, s: Array, p: Array) -> Array:
     w, u = s
-    return np.array([_state_slope(w, velocity(t), p[4]) / (p[2] + p[3] * u), (current(t) - u) / p[10]])
+    return np.array([_state_slope(w, velocity(t), p[4]) / (p[2] + p[3] * u), (current(t) - u) / p[-1]])
 
 
 @njit(cache=True)
@@ -60,7 +60,7 @@ def _modified(t: float, s: Array, p: Array) -> Array:
     c0, c1 = p[6] + p[7] * u, p[8] + p[9] * u
     v = velocity(t)
     y_speed = ((p[0] + p[1] * u) * w + c0 * v + p[10] * (position(t) - y)) / (c0 + c1)
-    return np.array([_state_slope(w, v - y_speed, p[4]) / (p[2] + p[3] * u), (current(t) - u) / p[13], y_speed])
+    return np.array([_state_slope(w, v - y_speed, p[4]) / (p[2] + p[3] * u), (current(t) - u) / p[-1], y_speed])
 
 
 @njit(cache=True)
@@ -88,7 +88,7 @@ def _shear_thinning(t: float, s: Array, p: Array) -> Array:
     c1, v = p[10] + p[11] * u, velocity(t)
     drive = c1 * v - (p[0] + p[1] * u) * w - p[12] * (position(t) - y)
     speed = _speed_of_element(drive, p[6] + p[7] * u, p[8], p[9], c1)
-    return np.array([_state_slope(w, speed, p[4]) / (p[2] + p[3] * u), (current(t) - u) / p[15], v - speed])
+    return np.array([_state_slope(w, speed, p[4]) / (p[2] + p[3] * u), (current(t) - u) / p[-1], v - speed])
 
 
 def _bouc_wen_force(s: Array, p: Array, x: Array, v: Array) -> Array:
