@@ -13,7 +13,7 @@ from mrd_base import InputError
 from mrd_diagnosis import diagnose
 from mrd_diagnosis.cli import diagnose as diagnose_tool
 from mrd_diagnosis.decision import verdict as rules_of_verdict
-from mrd_diagnosis.diagnosis import Interval
+from mrd_diagnosis.diagnosis import UNDETERMINED, Interval
 from mrd_diagnosis.fitting.base_fit import LinearisedRefit, fit_base
 from mrd_diagnosis.fitting.refit import refit_on
 from mrd_diagnosis.search.effect_search import refit_with_effects, score_effects
@@ -210,6 +210,22 @@ def test_a_fit_says_where_mid_stroke_is():
     simulator = StoredFit("bouc_wen", {}, (), {**DAMPER, "mid_stroke": 0.022}, {})
     diagnosis = diagnose(runs, "bouc_wen", parameters=simulator, effects=("moving_mass",))
     assert (diagnosis.verdict, diagnosis.corrected.parameters["mid_stroke"]) == ("no_gap", 0.022)
+
+
+@pytest.mark.parametrize("zero", [0.0, 0.016, -0.3])
+def test_a_stop_at_one_end_is_named_wherever_the_zero_of_the_position_is(zero):
+    """One that was symmetric about the zero was named at two ends, or at none."""
+    stopped = recorded({"end_stop": {"stiffness": 2e7, "upper": 0.007, "lower": -0.03, "exponent": 2.0}}, seed=5)
+    runs = [replace(run, position=run.position + zero) for run in stopped]
+    diagnosis = diagnose(runs, "bouc_wen", effects=("end_stop", "hardening_spring", "moving_mass"))
+    (cause,) = diagnosis.causes
+    mid_stroke = diagnosis.corrected.parameters["mid_stroke"]
+    # With a zero at the other end, a spring that hardens from there looks like it.
+    assert diagnosis.verdict in ("explained", "ambiguous") if zero > 0.0 else diagnosis.verdict == "explained"
+    assert cause.effect == "end_stop"
+    assert mid_stroke == (0.0 if zero > -0.1 else pytest.approx(zero, abs=1e-3))
+    assert cause.parameters["end_stop.upper"].value.value == pytest.approx(0.007 + zero - mid_stroke, abs=1e-4)
+    assert cause.parameters["end_stop.lower"].remark == UNDETERMINED
 
 
 def test_an_odd_multisine_tells_noise_from_distortion():
