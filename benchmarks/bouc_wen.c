@@ -74,7 +74,8 @@ void bouc_wen(const bouc_wen_parameters *p, long vertices, const double *dt, con
 
 typedef struct {
     double yield_force, yield_force_per_A, yield_travel, yield_travel_per_A, shape, exponent;
-    double viscous, viscous_per_A, series_viscous, series_viscous_per_A, stiffness, accumulator_stiffness, offset, mid_stroke, coil_lag;
+    double viscous, viscous_per_A, series_viscous, series_viscous_per_A, stiffness, accumulator_stiffness, offset;
+    double mid_stroke, coil_lag;
 } modified_bouc_wen_parameters;
 
 /* Travel of the element in m or in yield travels, and the state after it. */

@@ -193,7 +193,6 @@ class Outcome:
     verdict : str
     sizes : mapping
         Value, ends of the interval and unit of each parameter of the causes, by EFFECT.PARAMETER, the first cause first.
-    causes : tuple of str
     fitted : Recordings
         Position, force and modelled force of the identified model at the counted samples, nan elsewhere; none where no
         model was identified.
@@ -203,11 +202,15 @@ class Outcome:
     """
 
     verdict: str
-    causes: tuple[str, ...]
     sizes: Mapping[str, tuple[float, float, float, str]]
     fitted: Recordings
     seconds: float
     classes: Mapping[str, tuple[float, frozenset[str]]]
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """The causes in their order."""
+        return tuple(self.classes)
 
     @property
     def error(self) -> float:
@@ -220,7 +223,7 @@ class Outcome:
         return [
             cause
             for cause, (probability, members) in other.classes.items()
-            if probability > 0.5 + NEARLY_EVEN and not any(cause in class_ or members & class_ for class_ in named)
+            if probability > 0.5 + NEARLY_EVEN and not any(members & class_ for class_ in named)
         ]
 
 
@@ -258,9 +261,8 @@ def run_chain(
     runs = imported(recordings, folder, file_format)
     fitted = _fitted(identify(runs, MODEL, profile=False, **options)) if identified else {}
     diagnosis = diagnose(runs, MODEL, effects=effects)
-    causes = tuple(cause.effect for cause in diagnosis.causes)
     seconds = time.monotonic() - began
-    return Outcome(diagnosis.verdict, causes, _sizes(diagnosis), fitted, seconds, _classes(diagnosis))
+    return Outcome(diagnosis.verdict, _sizes(diagnosis), fitted, seconds, _classes(diagnosis))
 
 
 def _fitted(fit: Fit) -> Recordings:
@@ -352,7 +354,7 @@ SAME_ERROR = 0.01
 """Relative difference of the error of an identified model that counts as none."""
 
 SAME_ERROR_AT_HALF_RATE = 0.03
-"""The same at half the rate: the velocity comes from half as many readings of the position, each with its noise."""
+"""Relative difference that counts as none at half the rate, where half as many noisy positions give the velocity."""
 
 
 def differences(change: Change, outcome: Outcome, unchanged: Outcome, half_stroke: float) -> list[str]:

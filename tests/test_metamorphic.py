@@ -148,7 +148,6 @@ SET = {
 }
 UNCHANGED = Outcome(
     "explained",
-    ("joint_play",),
     {"joint_play.play": (4e-4, 3.8e-4, 4.2e-4, "m"), "joint_play.film": (0.5, 0.3, 0.7, "")},
     {"a": {**SET["a"], "modelled_N": 0.9 * SET["a"]["force_N"]}},
     1.0,

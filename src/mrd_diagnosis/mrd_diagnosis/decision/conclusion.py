@@ -103,16 +103,7 @@ def worse_by_runs(conclusion: Conclusion) -> Conclusion:
     """
     rule = next(rule for rule in RULES if rule.id == "worse")
     rejected = [
-        Rejected(
-            cause.effect,
-            rule.id,
-            rule.sentence,
-            True,
-            cause.probability,
-            cause.p_value,
-            cause.closed_fraction,
-            cause.parameters,
-        )
+        _rejected(Claim(cause.effect, cause.parameters, cause.probability, cause.p_value, cause.closed_fraction), rule)
         for cause in conclusion.causes
     ]
     verdict = verdict_after_rejection(conclusion.explanation.verdict, [], [rule] * len(rejected), [])

@@ -50,7 +50,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 
 _ZEROS = {"K": 273.15, "°F": 32.0}  # what 0 °C reads
 
-_SYNONYMS: Mapping[str, Mapping[str, str]] = {
+SYNONYMS: Mapping[str, Mapping[str, str]] = {
     "time": {
         **{"s": "sec secs second seconds", "ms": "msec msecs millisecond milliseconds", "ns": "nsec nanosecond nanoseconds"},
         **{
@@ -110,7 +110,7 @@ def find_unit(quantity: str, text: str) -> str | None:
     plain = re.sub(r"/?s(?:ec)?-([12])$|/s(?:ec)?/s(?:ec)?$|/sec(?=2?$)", lambda m: _rate(m[1], m[0]), plain)
     plain = plain.replace("/hr", "/h")
     forms = [plain, re.sub(r"^[uU](?=[A-Za-z])", "µ", plain)]
-    spoken = {form: unit for unit, words in _SYNONYMS[quantity].items() for form in words.split()}
+    spoken = {form: unit for unit, words in SYNONYMS[quantity].items() for form in words.split()}
     known = {unit: unit for unit in UNITS[quantity]}
     lower = {unit.lower(): unit for unit in reversed(list(UNITS[quantity]))}
     of_form = (table.get(form) for table in (known, spoken) for form in forms)

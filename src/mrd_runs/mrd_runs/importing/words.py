@@ -4,6 +4,8 @@ import re
 import unicodedata
 from collections.abc import Mapping
 
+from mrd_runs.importing.units import SYNONYMS
+
 WORDS: Mapping[str, frozenset[str]] = {
     quantity: frozenset(words.split())
     for quantity, words in {
@@ -13,8 +15,9 @@ WORDS: Mapping[str, frozenset[str]] = {
         "velocity": "velocity vel speed v xdot geschwindigkeit vitesse velocidad velocidade velocita",
         "acceleration": "acceleration accel acc a beschleunigung aceleracion aceleracao accelerazione",
         "force": "force f load loadcell effort kraft fuerza forca forza",
-        "current": "current curr cur i coil strom courant corriente corrente amp amps ampere amperes amperage milliamp "
-        "milliamps milliampere milliamperes",
+        "current": " ".join(
+            ["current curr cur i coil strom courant corriente corrente amperage", *SYNONYMS["current"].values()]
+        ),
         "temperature": "temperature temp temperatur temperatura",
     }.items()
 }

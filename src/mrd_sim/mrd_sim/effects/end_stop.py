@@ -20,7 +20,7 @@ DISTANCES = (0.007, 0.0165, 0.026)
 """Distances in m from the middle of the strokes from which fits start, with stops at both ends or at one."""
 
 NEVER_REACHED = 0.028
-"""The same in m of a stop that no stroke reaches."""
+"""Distance in m from the middle of the strokes at which the other stop stands when a fit of one stop starts."""
 
 
 @njit(cache=True, nogil=True)
