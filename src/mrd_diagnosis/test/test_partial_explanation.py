@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrd_diagnosis import diagnose
+from mrd_diagnosis.decision import conclusion
 from mrd_diagnosis.decision.explanation import Explanation
 from mrd_diagnosis.fitting.base_fit import FittedBase, fit_base, with_effect
 from mrd_diagnosis.fitting.null_distribution import NullGains
@@ -199,6 +200,41 @@ def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_clo
     assert list(causes) == ["backlash"]
     assert explained is first
     assert causes_of(base.held_out_cost - closed / 0.6) == ({}, base)
+
+
+@pytest.mark.parametrize(
+    ("costs", "worse"),
+    [
+        ({"": 1.0, "a": 0.9, "b": 2.0}, {"a"}),
+        ({"": 1.0, "a": 0.9, "b": 0.8}, {"b"}),
+        ({"": 1.0, "a": 1.1, "b": 1.2}, set()),
+        ({"": 1.0, "a": 0.9, "b": 0.8, "c": 2.0, "ab": 0.7, "bc": 2.5}, {"a", "b"}),
+        ({"": 1.0, "a": 0.9, "b": 0.8, "c": 2.0, "ab": 0.9, "bc": 2.5}, {"b"}),
+    ],
+)
+def test_what_predicts_worse_beside_the_others_is_left_out_one_after_the_other(around_own_curve, monkeypatch, costs, worse):
+    """Costs are those without the effects, as shares of the gap."""
+    comparison, base = around_own_curve
+    weighting = comparison.weighting
+    gap = base.held_out_squares - sum(np.sum(noise.sigma**2) for noise in weighting.noise) / len(base.held_out_squares)
+
+    def without(effects):
+        return replace(base, held_out_squares=costs["".join(sorted(effects))] * gap)
+
+    left_out = {id(best := without("")): ""}
+
+    def refit_without(_weighting, refitted, effect):
+        found = without(left_out[id(refitted)] + effect)
+        left_out[id(found)] = left_out[id(refitted)] + effect
+        return found
+
+    monkeypatch.setattr(conclusion, "refit_on", lambda _weighting, refitted: refitted)
+    monkeypatch.setattr(conclusion, "refit_without", refit_without)
+    effects = tuple(sorted(set("".join(costs))))
+    chosen = replace(comparison, effects=effects, chain=(best,) * len(effects))
+    closed = conclusion.closed_beside_others(chosen, np.random.default_rng(0))
+    assert set(closed) == set(effects)
+    assert {effect for effect, share in closed.items() if share.upper < 0.0} == worse
 
 
 def test_an_effect_of_the_form_is_judged_beside_the_others(monkeypatch):

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -10,10 +11,12 @@ from mrd_diagnosis.decision.causes import name_causes, with_intervals_of_all_for
 from mrd_diagnosis.decision.explanation import Explanation
 from mrd_diagnosis.decision.rejection_rules import RULES, Claim, Rule, rejecting_rule
 from mrd_diagnosis.decision.verdict import verdict_after_rejection
-from mrd_diagnosis.diagnosis import AlternativeModel, Candidate, Cause, Finding, Rejected
+from mrd_diagnosis.diagnosis import AlternativeModel, Candidate, Cause, Finding, Interval, Rejected
+from mrd_diagnosis.fitting.refit import refit_on
 from mrd_diagnosis.recordings.imitating_limitations import clock_finding, imitating_limitations
-from mrd_diagnosis.search.model_comparison import ModelComparison, RefitComparison, unchanged, with_chain
+from mrd_diagnosis.search.model_comparison import ModelComparison, RefitComparison, refit_without, unchanged, with_chain
 from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_identification.parallel import in_threads
 from mrd_runs import Run
 
 
@@ -125,6 +128,7 @@ def _claims(
     """Return what is claimed of each cause, with what speaks against it."""
     together = closed_fraction_between(complete.base, complete.best, complete, rng)
     open_fraction = float(np.clip(1.0 - np.nan_to_num(together.value), 0.0, 1.0))
+    beside = closed_beside_others(complete, rng)
     return [
         Claim(
             cause.effect,
@@ -134,12 +138,35 @@ def _claims(
             cause.closed_fraction,
             open_fraction,
             together,
+            beside[cause.effect],
             limitations=_unrefuted(cause.effect, imitating_limitations(cause.effect, findings), complete),
             clocks_agree=of_clocks is None,
             level=cause.level,
         )
         for cause in causes
     ]
+
+
+def closed_beside_others(comparison: ModelComparison, rng: np.random.Generator) -> dict[str, Interval]:
+    """Return the share of the gap that each effect closes in the user's model beside the others, by effect.
+
+    An effect that was found around another form may be superfluous in the user's model, where the others have taken its
+    part. One that predicts worse is left out before the others are judged, so that of two that take each other's place one
+    stays.
+    """
+    weighting, effects = comparison.weighting, list(comparison.effects)
+    closed: dict[str, Interval] = {}
+    # The simulator is in the loop of none of these refits.
+    best = refit_on(weighting, comparison.best)
+    while len(effects) > 1:
+        without = dict(zip(effects, in_threads(partial(refit_without, weighting, best), effects), strict=True))
+        found = {effect: closed_fraction_between(without[effect], best, comparison, rng) for effect in effects}
+        least = min(effects, key=lambda effect: found[effect].upper)
+        if not found[least].upper < 0.0:
+            return closed | found
+        closed[least], best = found[least], without[least]
+        effects.remove(least)
+    return closed | dict.fromkeys(effects, Interval(float("nan")))
 
 
 def reject_others(
