@@ -94,7 +94,7 @@ PLANTED = {
         "step",
     ),
     "full current": (lambda r: 5.0 * (level(r) > 0.9) * np.sign(r.motion.velocity), "at 1 A", "current"),
-    "one run": (lambda r: 3.0 * (r.run.name == "run3") * np.sin(40 * r.run.time**1.5), "run run3", "run"),
+    "one run": (lambda r: 3.0 * (r.run.name == "run3") * np.sin(40 * r.run.time**1.5), "run3", "run"),
     "warm": (
         lambda r: 3.0 * (r.run.name == "run4") * (r.run.time > 2.0) * np.sin(40 * r.run.time**1.5),
         "from 50 s of the recordings on",
@@ -162,7 +162,7 @@ def test_an_error_that_only_some_strokes_have_is_not_taken_for_one_of_what_they_
     """Run 4 has the most reversals, and all of the error, evenly."""
     located = regions(campaign, lambda r: 6.0 * (r.run.name == "run4") * np.sin(40 * r.run.time**1.5))
     assert {r.axis for r in located if is_significant(r) and r.axis in PLACES} <= {"run", "time"}
-    assert headline_place(located).label == "run run4"
+    assert headline_place(located).label == "run4"
 
 
 def test_a_level_that_is_kept_through_a_run_is_one_observation(monkeypatch):

@@ -1,4 +1,4 @@
-"""Texts of strangers' files as parts of a message."""
+"""Names and texts of strangers' files as parts of a message."""
 
 _LONGEST = 200  # characters
 
@@ -13,3 +13,8 @@ def one_line(text: object) -> str:
     """Return the text of an error or of a stranger's file as a part of a line: printable, and not long."""
     line = printable(str(text)) or type(text).__name__
     return line if len(line) <= _LONGEST else f"{line[:_LONGEST]} ..."
+
+
+def named_run(name: str) -> str:
+    """Return how a sentence calls a run, such as "run 02_sine" or "run2"."""
+    return name if name.lower().startswith("run") else f"run {name}"

@@ -12,6 +12,7 @@ from mrd_diagnosis.localisation.events import distance_to_end, span_of_positions
 from mrd_identification.recording import Recording, current_levels
 from mrd_runs.scales import scales_of
 from mrd_runs.signals.current_steps import time_since_step
+from mrd_runs.text import named_run
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -187,7 +188,7 @@ def _bins_between(
 
 def _run_bins(recordings: Sequence[Recording]) -> tuple[Bins, Indices]:
     places = [(float(k), float(k)) for k in range(1, len(recordings) + 1)]
-    bins = Bins("run", "", places, [f"run {recording.run.name}" for recording in recordings])
+    bins = Bins("run", "", places, [named_run(recording.run.name) for recording in recordings])
     return bins, np.repeat(np.arange(len(recordings)), [len(recording.force) for recording in recordings])
 
 

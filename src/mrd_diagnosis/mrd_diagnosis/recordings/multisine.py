@@ -8,6 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from mrd_base import InputError
 from mrd_runs import Run
+from mrd_runs.text import named_run
 
 Array = NDArray[np.float64]
 
@@ -74,7 +75,7 @@ def distortion(run: Run, period: float) -> Distortion:
     samples = round(period * run.rate)
     if periods < 2 or samples < LEAST_SAMPLES:
         raise InputError(
-            f"run {run.name}: {run.duration:.4g} s at {run.rate:.4g} Hz hold {periods} periods of {period:.4g} s, "
+            f"{named_run(run.name)}: {run.duration:.4g} s at {run.rate:.4g} Hz hold {periods} periods of {period:.4g} s, "
             f"expected at least two, of {LEAST_SAMPLES} samples or more"
         )
     times = run.time[-1] + 1 / run.rate - period * periods + np.arange(periods * samples) * (period / samples)
@@ -95,7 +96,7 @@ def distortion(run: Run, period: float) -> Distortion:
     )
     if not excited.any() or np.sum(speed[excited & (line % 2 == 0)]) > MOST_EVEN * np.sum(speed[excited]):
         raise InputError(
-            f"run {run.name}: found a motion with lines other than odd multiples of 1/{period:.4g} s, "
+            f"{named_run(run.name)}: found a motion with lines other than odd multiples of 1/{period:.4g} s, "
             "expected an odd multisine with this period_s"
         )
     response, scatter = lines(run.force)

@@ -16,6 +16,7 @@ from mrd_diagnosis.wording.effect_names import STAGE_NAMES, effect_clause, effec
 from mrd_diagnosis.wording.quantities import capitalised, format_error, format_probability, format_share, join_words
 from mrd_identification.correction import unproven_effects
 from mrd_runs.read import run_arguments
+from mrd_runs.text import named_run
 from mrd_sim.effects import EFFECTS
 from mrd_sim.own import folder_arguments, model_arguments
 
@@ -66,7 +67,7 @@ def _gap_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
 def fault_sentence(findings: Sequence[Finding]) -> str:
     """Return the verdict on faulty recordings: the first fault, and how many more there are."""
     faults = [finding for finding in findings if finding.severity == "fault"]
-    place = ", ".join(part for part in (faults[0].run and f"run {faults[0].run}", faults[0].channel) if part)
+    place = ", ".join(part for part in (faults[0].run and named_run(faults[0].run), faults[0].channel) if part)
     more = f" ({len(faults) - 1} more {'problem' if len(faults) == 2 else 'problems'} below.)" if len(faults) > 1 else ""
     return f"Data problem{f' ({place})' if place else ''}: {faults[0].text.rstrip('.')}.{more}"
 
