@@ -10,11 +10,11 @@ from pathlib import Path
 
 from mrd_base.json_file import make_folder
 from mrd_diagnosis import diagnose, write_gap_report
-from mrd_diagnosis.diagnosis import Diagnosis
+from mrd_diagnosis.diagnosis import Cause, Diagnosis
 from mrd_diagnosis.wording.quantities import format_share
 from mrd_runs import read_runs
 
-DAMPERS = {"utfpr": "UTFPR, shaking table", "utfsm": "UTFSM, press"}
+DAMPERS = {"utfpr": "UTFPR, shaking table", "utfsm": "UTFSM, press", "brfd": "BRFD, band brake"}
 MODELS = ("bouc_wen", "modified_bouc_wen", "shear_thinning_bouc_wen")
 HEADER = (
     "damper",
@@ -34,13 +34,19 @@ def row(diagnosis: Diagnosis) -> list[str]:
     places = [region for region in diagnosis.where if region.axis != "run"]
     gap = diagnosis.gap
     before, after, floor = (100 * error.value for error in (gap.before, gap.after, gap.noise_floor))
-    causes = [f"`{cause.effect}` {format_share(cause.closed_fraction.value)}" for cause in diagnosis.causes]
+    causes = [f"{_named(cause)} {format_share(cause.closed_fraction.value)}" for cause in diagnosis.causes]
     return [
         ", ".join([f"`{diagnosis.verdict}`", *causes]),
         format_share(gap.form_fraction),
         f"{before:.1f} → {after:.1f} ({floor:.1f})",
         f"{format_share(places[0].share.value)} {places[0].label}" if places else "–",
     ]
+
+
+def _named(cause: Cause) -> str:
+    """Return a cause with those that look like it, where it is not named by itself."""
+    effects = [cause.effect] if cause.level == "effect" else [member.effect for member in cause.members]
+    return " or ".join(f"`{effect}`" for effect in effects)
 
 
 def main() -> None:
