@@ -20,6 +20,7 @@ from mrd_diagnosis.fitting.residual_regression import explainable_fraction
 from mrd_diagnosis.fitting.weighting import Weighting, error_of_run
 from mrd_diagnosis.localisation.localise import localise
 from mrd_diagnosis.localisation.oscillation import find_oscillation
+from mrd_diagnosis.recordings.imitating_limitations import clock_finding
 from mrd_diagnosis.recordings.limitations import limitation_notes
 from mrd_diagnosis.search.model_comparison import ModelComparison
 from mrd_diagnosis.start import Request, Start
@@ -92,7 +93,7 @@ def describe(
         where=location.where,
         oscillation=location.oscillation,
         causes=conclusion.causes,
-        rejected=reject_others(conclusion, listed, models, findings, [*request.reference, *request.runs]),
+        rejected=reject_others(conclusion, listed, models, findings, clock_finding(request.runs, request.reference)),
         weighed=explanation.weighed,
         alternatives=list_alternatives(comparison, probabilities) if verdict not in ("no_gap", "unknown_effect") else (),
         nearest=_nearest(comparison, listed) if is_open else None,

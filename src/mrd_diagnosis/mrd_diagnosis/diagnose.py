@@ -15,6 +15,7 @@ from mrd_diagnosis.explain_change import explain_change
 from mrd_diagnosis.explain_gap import explain_gap
 from mrd_diagnosis.fitting.base_fit import fit_base
 from mrd_diagnosis.recordings.closed_loop import closed_loop_notes
+from mrd_diagnosis.recordings.imitating_limitations import clock_finding
 from mrd_diagnosis.recordings.limitations import untestable_effects
 from mrd_diagnosis.recordings.recording_set import RecordingSet
 from mrd_diagnosis.report.sentences import fault_sentence, imitation_note, verdict_sentence
@@ -199,13 +200,15 @@ def _diagnose_physics(start: Start, candidates: Sequence[str], findings: tuple[F
         fitted = replace(fitted, complete=start.in_loop(fitted.complete))
     else:
         fitted = explain_gap(fit.weighting, fit.base, fit.null_errors, tried, rng, part, start.in_loop)
-    runs = [*request.reference, *request.runs]
-    conclusion = conclude(fitted.explanation, fitted.complete, findings, runs, rng, start.in_loop)
+    of_clocks = clock_finding(request.runs, request.reference)
+    conclusion = conclude(fitted.explanation, fitted.complete, findings, of_clocks, rng, start.in_loop)
+    if conclusion.explanation.verdict != "data_fault":
+        diagnosis = describe(start, request, findings, fit, fitted, conclusion, rng)
+        if diagnosis.causes and diagnosis.gap is not None and diagnosis.gap.closed_fraction.upper < 0.0:
+            conclusion = worse_by_runs(conclusion)
+            diagnosis = describe(start, request, findings, fit, fitted, conclusion, rng)
     if conclusion.explanation.verdict == "data_fault":
         progress("done", 1.0)
         return _limited(start.model, request, findings, conclusion)
-    diagnosis = describe(start, request, findings, fit, fitted, conclusion, rng)
-    if diagnosis.causes and diagnosis.gap is not None and diagnosis.gap.closed_fraction.upper < 0.0:
-        diagnosis = describe(start, request, findings, fit, fitted, worse_by_runs(conclusion), rng)
     diagnosis = replace(diagnosis, untestable=(*diagnosis.untestable, *untestable))
     return replace(diagnosis, sentence=verdict_sentence(diagnosis))

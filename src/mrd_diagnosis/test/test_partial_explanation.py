@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrd_diagnosis import diagnose
+from mrd_diagnosis.closure.closure import closed_fraction_between
 from mrd_diagnosis.decision import conclusion
 from mrd_diagnosis.decision.explanation import Explanation
 from mrd_diagnosis.fitting.base_fit import FittedBase, fit_base, with_effect
@@ -203,7 +204,7 @@ def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_clo
 
 
 @pytest.mark.parametrize(
-    ("costs", "worse"),
+    ("costs", "harmful"),
     [
         ({"": 1.0, "a": 0.9, "b": 2.0}, {"a"}),
         ({"": 1.0, "a": 0.9, "b": 0.8}, {"b"}),
@@ -212,7 +213,9 @@ def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_clo
         ({"": 1.0, "a": 0.9, "b": 0.8, "c": 2.0, "ab": 0.9, "bc": 2.5}, {"b"}),
     ],
 )
-def test_what_predicts_worse_beside_the_others_is_left_out_one_after_the_other(around_own_curve, monkeypatch, costs, worse):
+def test_what_harms_the_prediction_beside_the_others_is_left_out_one_after_the_other(
+    around_own_curve, monkeypatch, costs, harmful
+):
     """Costs are those without the effects, as shares of the gap."""
     comparison, base = around_own_curve
     weighting = comparison.weighting
@@ -232,9 +235,15 @@ def test_what_predicts_worse_beside_the_others_is_left_out_one_after_the_other(a
     monkeypatch.setattr(conclusion, "refit_without", refit_without)
     effects = tuple(sorted(set("".join(costs))))
     chosen = replace(comparison, effects=effects, chain=(best,) * len(effects))
-    closed = conclusion.closed_beside_others(chosen, np.random.default_rng(0))
-    assert set(closed) == set(effects)
-    assert {effect for effect, share in closed.items() if share.upper < 0.0} == worse
+    assert set(conclusion.harmful_effects(chosen, np.random.default_rng(0))) == harmful
+
+
+@pytest.mark.parametrize("diverged", [np.inf, np.nan])
+def test_an_effect_with_which_a_fit_diverges_in_every_fold_closes_nothing(around_own_curve, diverged):
+    comparison, base = around_own_curve
+    with_effect = replace(base, held_out_squares=np.full_like(base.held_out_squares, diverged))
+    closed = closed_fraction_between(base, with_effect, comparison, np.random.default_rng(0))
+    assert (closed.value, closed.lower, closed.upper) == (-1.0, -1.0, -1.0)
 
 
 def test_an_effect_of_the_form_is_judged_beside_the_others(monkeypatch):

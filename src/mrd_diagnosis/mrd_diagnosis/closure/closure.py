@@ -128,9 +128,13 @@ def closed_fraction_between(before: Refit, after: Refit, comparison: ModelCompar
     acting = [place for place, (run, _) in enumerate(comparison.weighting.folds) if not recordings[run].without_effects]
     variance = np.concatenate([noise.sigma for noise in comparison.weighting.noise]) ** 2
     noise_of_folds = np.array([variance[fold].sum() for _, fold in comparison.weighting.folds])
-    gap = (comparison.base.held_out_squares - noise_of_folds)[acting]
+    # A fit may diverge where a fold is held out.
+    without_effects, lacking, fitted = (
+        np.nan_to_num(refit.held_out_squares, nan=1e30, posinf=1e30) for refit in (comparison.base, before, after)
+    )
+    gap = (without_effects - noise_of_folds)[acting]
     draws = bootstrap_counts(len(gap), rng)
-    gained = (before.held_out_squares - after.held_out_squares)[acting]
+    gained = (lacking - fitted)[acting]
     if gap.sum() <= 0:
         return Interval(np.nan)
     shares = (draws @ gained) / np.where(draws @ gap > 0, draws @ gap, np.nan)

@@ -11,13 +11,14 @@ from mrd_diagnosis.decision.causes import name_causes, with_intervals_of_all_for
 from mrd_diagnosis.decision.explanation import Explanation
 from mrd_diagnosis.decision.rejection_rules import RULES, Claim, Rule, rejecting_rule
 from mrd_diagnosis.decision.verdict import verdict_after_rejection
-from mrd_diagnosis.diagnosis import AlternativeModel, Candidate, Cause, Finding, Interval, Rejected
+from mrd_diagnosis.diagnosis import AlternativeModel, Candidate, Cause, Finding, Rejected
 from mrd_diagnosis.fitting.refit import refit_on
-from mrd_diagnosis.recordings.imitating_limitations import clock_finding, imitating_limitations
+from mrd_diagnosis.recordings.imitating_limitations import imitating_limitations
 from mrd_diagnosis.search.model_comparison import ModelComparison, RefitComparison, refit_without, unchanged, with_chain
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.parallel import in_threads
-from mrd_runs import Run
+
+_WORSE = next(rule for rule in RULES if rule.id == "worse")
 
 
 @dataclass(frozen=True)
@@ -49,15 +50,16 @@ def conclude(
     explanation: Explanation,
     complete: ModelComparison,
     findings: Sequence[Finding],
-    runs: Sequence[Run],
+    of_clocks: Finding | None,
     rng: np.random.Generator,
     in_loop: RefitComparison = unchanged,
 ) -> Conclusion:
     """Hold the effects that an explanation would name against the rejection rules.
 
-    Where none is left and the recordings are a reason for that, their limitation is the answer. Where they are seen but not
-    determined, they stay in the model as what comes nearest, and the verdict is ambiguous if they close the gap. Where some
-    causes remain, they explain a part of the gap.
+    Those that harm the prediction beside the others are left out first, and the rest is fitted anew. Where the rules leave
+    none and the recordings are a reason for that, their limitation is the answer. Where they are seen but not determined,
+    they stay in the model as what comes nearest, and the verdict is ambiguous if they close the gap. Where some causes
+    remain, they explain a part of the gap.
 
     Parameters
     ----------
@@ -66,35 +68,33 @@ def conclude(
         Of the explanation, on all samples.
     findings : sequence of Finding
         Of the preflight check.
-    runs : sequence of Run
+    of_clocks : Finding or None
+        That the clocks of the channels are not known to agree.
     rng : numpy Generator
     in_loop : callable
         See `mrd_diagnosis.explain_gap.explain_gap`.
     """
     causes = name_causes(replace(explanation, comparison=complete), rng)
-    of_clocks = clock_finding(runs)
-    named: list[Cause] = []
-    rejected: list[Rejected] = []
+    harmful = harmful_effects(complete, rng) if len(causes) > 1 else ()
+    rejected = [_rejected_as_worse(cause) for cause in causes if cause.effect in harmful]
+    if harmful:
+        kept = [effect for effect in complete.effects if effect not in harmful]
+        explanation, complete, causes = _named_alone(explanation, complete, kept, rng, in_loop)
+    named: tuple[Cause, ...] = ()
     rules: list[Rule] = []
     reasons: list[Finding] = []
     for cause, claim in zip(causes, _claims(causes, complete, findings, of_clocks, rng), strict=True):
         rule = rejecting_rule(claim)
         if rule is None:
-            named.append(cause)
+            named = (*named, cause)
             continue
         rules.append(rule)
         rejected.append(_rejected(claim, rule))
         reasons += claim.limitations if rule.id == "limitation" else [of_clocks] if rule.id == "clocks" and of_clocks else []
     effects = [cause.effect for cause in named]
     explanation = replace(explanation, verdict=verdict_after_rejection(explanation.verdict, effects, rules, reasons))
-    if rejected and named:
-        explanation = replace(
-            explanation,
-            comparison=_with_only(explanation.comparison, effects),
-            probabilities={effect: explanation.probabilities[effect] for effect in effects},
-        )
-        complete = in_loop(_with_only(complete, effects))
-        named = list(name_causes(replace(explanation, comparison=complete), rng))
+    if rules and named:
+        explanation, complete, named = _named_alone(explanation, complete, effects, rng, in_loop)
     causes = tuple(with_intervals_of_all_forms(cause, explanation) for cause in named)
     return Conclusion(explanation, complete, causes, tuple(rejected), tuple(dict.fromkeys(reasons)))
 
@@ -104,18 +104,54 @@ def worse_by_runs(conclusion: Conclusion) -> Conclusion:
 
     Segments of one run may say otherwise: an end stop that was moved between the runs is predicted well within each.
     """
-    rule = next(rule for rule in RULES if rule.id == "worse")
-    rejected = [
-        _rejected(Claim(cause.effect, cause.parameters, cause.probability, cause.p_value, cause.closed_fraction), rule)
-        for cause in conclusion.causes
-    ]
-    verdict = verdict_after_rejection(conclusion.explanation.verdict, [], [rule] * len(rejected), [])
+    rejected = [_rejected_as_worse(cause) for cause in conclusion.causes]
+    verdict = verdict_after_rejection(conclusion.explanation.verdict, [], [_WORSE] * len(rejected), conclusion.limitations)
     return replace(
         conclusion,
         explanation=replace(conclusion.explanation, verdict=verdict),
         causes=(),
         rejected=(*rejected, *conclusion.rejected),
     )
+
+
+def harmful_effects(comparison: ModelComparison, rng: np.random.Generator) -> tuple[str, ...]:
+    """Return the effects without which the user's model surely predicts held-out data better, beside the others.
+
+    An effect that was found around another form may be superfluous in the user's model, where the others have taken its
+    part. The most harmful one is left out before the rest is judged again, so that of two that take each other's place one
+    stays.
+    """
+    weighting, effects = comparison.weighting, list(comparison.effects)
+    harmful: list[str] = []
+    # The simulator is in the loop of none of these refits.
+    best = refit_on(weighting, comparison.best)
+    while len(effects) > 1:
+        without = dict(zip(effects, in_threads(partial(refit_without, weighting, best), effects), strict=True))
+        closed = {effect: closed_fraction_between(without[effect], best, comparison, rng) for effect in effects}
+        least = min(effects, key=lambda effect: closed[effect].upper)
+        if not closed[least].upper < 0.0:
+            break
+        harmful.append(least)
+        effects.remove(least)
+        best = without[least]
+    return tuple(harmful)
+
+
+def _named_alone(
+    explanation: Explanation,
+    complete: ModelComparison,
+    effects: Sequence[str],
+    rng: np.random.Generator,
+    in_loop: RefitComparison,
+) -> tuple[Explanation, ModelComparison, tuple[Cause, ...]]:
+    """Fit some of the effects of an explanation anew, without the others, and name them."""
+    explanation = replace(
+        explanation,
+        comparison=_with_only(explanation.comparison, effects),
+        probabilities={effect: explanation.probabilities[effect] for effect in effects},
+    )
+    complete = in_loop(_with_only(complete, effects))
+    return explanation, complete, name_causes(replace(explanation, comparison=complete), rng)
 
 
 def _claims(
@@ -128,7 +164,6 @@ def _claims(
     """Return what is claimed of each cause, with what speaks against it."""
     together = closed_fraction_between(complete.base, complete.best, complete, rng)
     open_fraction = float(np.clip(1.0 - np.nan_to_num(together.value), 0.0, 1.0))
-    beside = closed_beside_others(complete, rng)
     return [
         Claim(
             cause.effect,
@@ -138,7 +173,6 @@ def _claims(
             cause.closed_fraction,
             open_fraction,
             together,
-            beside[cause.effect],
             limitations=_unrefuted(cause.effect, imitating_limitations(cause.effect, findings), complete),
             clocks_agree=of_clocks is None,
             level=cause.level,
@@ -147,34 +181,12 @@ def _claims(
     ]
 
 
-def closed_beside_others(comparison: ModelComparison, rng: np.random.Generator) -> dict[str, Interval]:
-    """Return the share of the gap that each effect closes in the user's model beside the others, by effect.
-
-    An effect that was found around another form may be superfluous in the user's model, where the others have taken its
-    part. One that predicts worse is left out before the others are judged, so that of two that take each other's place one
-    stays.
-    """
-    weighting, effects = comparison.weighting, list(comparison.effects)
-    closed: dict[str, Interval] = {}
-    # The simulator is in the loop of none of these refits.
-    best = refit_on(weighting, comparison.best)
-    while len(effects) > 1:
-        without = dict(zip(effects, in_threads(partial(refit_without, weighting, best), effects), strict=True))
-        found = {effect: closed_fraction_between(without[effect], best, comparison, rng) for effect in effects}
-        least = min(effects, key=lambda effect: found[effect].upper)
-        if not found[least].upper < 0.0:
-            return closed | found
-        closed[least], best = found[least], without[least]
-        effects.remove(least)
-    return closed | dict.fromkeys(effects, Interval(float("nan")))
-
-
 def reject_others(
     conclusion: Conclusion,
     candidates: Sequence[Candidate],
     models: Sequence[AlternativeModel],
     findings: Sequence[Finding],
-    runs: Sequence[Run],
+    of_clocks: Finding | None,
 ) -> tuple[Rejected, ...]:
     """Return every effect that was tried and is not named, with the rule that rejected it; first those that were chosen."""
     known = {cause.effect for cause in conclusion.causes} | {entry.effect for entry in conclusion.rejected}
@@ -194,7 +206,7 @@ def reject_others(
             chosen=False,
             has_gap=conclusion.explanation.verdict != "no_gap",
             limitations=imitating_limitations(effect, findings),
-            clocks_agree=clock_finding(runs) is None,
+            clocks_agree=of_clocks is None,
             other_model=models[0].closed_fraction.value if models else float("nan"),
             presence=presence.get(effect, 1.0),
         )
@@ -216,6 +228,10 @@ def _rejected(claim: Claim, rule: Rule) -> Rejected:
     )
 
 
+def _rejected_as_worse(cause: Cause) -> Rejected:
+    return _rejected(Claim(cause.effect, cause.parameters, cause.probability, cause.p_value, cause.closed_fraction), _WORSE)
+
+
 def _unrefuted(effect: str, limitations: tuple[Finding, ...], comparison: ModelComparison) -> tuple[Finding, ...]:
     """Return the limitations that may stand for an effect: all, or none where the runs without them show it as well.
 
@@ -225,7 +241,9 @@ def _unrefuted(effect: str, limitations: tuple[Finding, ...], comparison: ModelC
         return ()
     limited = {finding.run for finding in limitations}
     recordings = comparison.weighting.recordings
-    clean = [run for run, recording in enumerate(recordings) if recording.run.name not in limited]
+    # In the runs before a change, it does not act.
+    acting = [(run, recording.run.name) for run, recording in enumerate(recordings) if not recording.without_effects]
+    clean = [run for run, name in acting if name not in limited]
     if "" in limited or not clean:
         return limitations
     position = comparison.effects.index(effect)

@@ -29,8 +29,6 @@ class Claim:
         Share of the gap that stays open with all chosen effects.
     closed_together : Interval
         Share that these close; nan for an effect that is none of them.
-    closed_beside : Interval
-        Share that it closes in the user's model beside the others of them; nan where there are no others.
     chosen : bool
         Whether it belongs to the best explanation.
     has_gap : bool
@@ -55,7 +53,6 @@ class Claim:
     closed_fraction: Interval = Interval(float("nan"))
     open_fraction: float = 0.0
     closed_together: Interval = Interval(float("nan"))
-    closed_beside: Interval = Interval(float("nan"))
     chosen: bool = True
     has_gap: bool = True
     limitations: tuple[Finding, ...] = ()
@@ -138,8 +135,8 @@ RULES = (
     Rule("little", "it closes next to nothing of the gap", _closes_little),
     Rule(
         "worse",
-        "with it and all else that would be named, your model predicts held-out data worse than without",
-        lambda claim: claim.closed_together.upper < 0.0 or claim.closed_beside.upper < 0.0,
+        "your model predicts held-out data better without it, or without all that would be named",
+        lambda claim: claim.closed_together.upper < 0.0,
     ),
     Rule(
         "on_bound",

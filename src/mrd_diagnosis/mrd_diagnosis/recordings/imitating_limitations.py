@@ -29,8 +29,16 @@ def gap_making_limitations(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(finding for finding in findings if finding.severity == "limitation" and finding.kind in TIMING_FINDINGS)
 
 
-def clock_finding(runs: Sequence[Run]) -> Finding | None:
-    """Return the finding that the clocks of the channels of some runs are not known to agree."""
+def clock_finding(*sets: Sequence[Run]) -> Finding | None:
+    """Return the finding that the clocks of the channels of some runs are not known to agree.
+
+    Of several sets, such as runs before and after a change, one is enough: clocks that differ in it alone look like a delay
+    that has come or gone.
+    """
+    return next((finding for runs in sets if (finding := _clock_finding_of(runs))), None)
+
+
+def _clock_finding_of(runs: Sequence[Run]) -> Finding | None:
     doubtful = [run.name for run in runs if not run.clocks_agree()]
     if len(doubtful) < DOUBTFUL_SHARE * len(runs) or not doubtful:
         return None
