@@ -82,7 +82,7 @@ class Thresholds:
     )
     least_form_share: float = threshold(
         0.65,
-        "of what the form remainder closes",
+        "of what the best form closes",
         "share that effects of the form must close by their own formulas to be named",
         "measured recordings with known errors, seed 63",
     )

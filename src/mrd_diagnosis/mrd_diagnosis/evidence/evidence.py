@@ -212,7 +212,7 @@ def drift_over_runs(fitted: Refit, effect: str) -> float:
 EVIDENCE = (
     Evidence(
         "closed",
-        "share of the gap of the best form that the effect closes",
+        "share that the effect closes of the gap that the best form with the other effects leaves",
         lambda fits: share_closed(fits.without, fits.fitted, fits.noise_cost),
     ),
     Evidence("closed_of_forms", "median of the shares around all forms", median_share_closed),

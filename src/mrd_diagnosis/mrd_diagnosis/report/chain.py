@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mrd_diagnosis.wording.effect_names import STAGE_NAMES, effect_name
-from mrd_sim.effects import EFFECTS
+from mrd_diagnosis.wording.effect_names import IN_SERIES, STAGE_NAMES, effect_name, place_of_effect
 from mrd_sim.effects.effect import STAGES
 
 
@@ -25,12 +24,11 @@ def chain_of(effects: Sequence[str], damper: str) -> tuple[Link, ...]:
     damper : str
         Name of the damper model or of the simulator.
     """
-    in_series = [effect for effect in effects if EFFECTS[effect].elongation is not None]
 
-    links = [
-        Link(STAGE_NAMES[stage], tuple(effect_name(e) for e in effects if EFFECTS[e].stage == stage and e not in in_series))
-        for stage in STAGES
-    ]
-    series = [Link("in series with the damper", tuple(map(effect_name, in_series)))] if in_series else []
+    def link(title: str) -> Link:
+        return Link(title, tuple(effect_name(effect) for effect in effects if place_of_effect(effect) == title))
+
+    links = [link(STAGE_NAMES[stage]) for stage in STAGES]
+    series = [in_series] if (in_series := link(IN_SERIES)).effects else []
     before = STAGES.index("fluid")
     return (Link("motion of the rod", ()), *links[:before], *series, Link(damper, ()), *links[before:], Link("reading", ()))

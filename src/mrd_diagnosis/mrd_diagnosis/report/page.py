@@ -44,7 +44,13 @@ from mrd_diagnosis.report.sentences import (
     what_was_found,
 )
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_diagnosis.wording.effect_names import STAGE_NAMES, candidate_title, effect_clause, effect_name, parameters_of_effect
+from mrd_diagnosis.wording.effect_names import (
+    candidate_title,
+    effect_clause,
+    effect_name,
+    parameters_of_effect,
+    place_of_effect,
+)
 from mrd_diagnosis.wording.quantities import (
     capitalised,
     format_error,
@@ -432,7 +438,7 @@ def _effect_card(
     return {
         "id": effect,
         "clause": f"If this is the cause: {clause}" if doubtful else capitalised(clause),
-        "stage": STAGE_NAMES[catalogued.stage] if catalogued else "",
+        "place": place_of_effect(catalogued.id) if catalogued else "",
         "equation": catalogued.equation if catalogued else "",
         "facts": facts,
         "parameters": [

@@ -111,7 +111,8 @@ def _explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     beyond = gap.extrapolated
     share = format_share(beyond.value) if beyond is not None else ""
     if beyond is not None and beyond.value < gap.closed_fraction.lower and share != format_share(gap.closed_fraction.value):
-        text += f" On the runs that go beyond the others in stroke, speed or current, this removes only {share}."
+        there = f"this removes only {share}" if beyond.value > 0.0 else "this removes nothing"
+        text += f" On the runs that go beyond the others in stroke, speed or current, {there}."
     return text
 
 

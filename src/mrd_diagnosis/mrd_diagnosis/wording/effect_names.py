@@ -17,6 +17,14 @@ STAGE_NAMES: Mapping[str, str] = {
 }
 """Where an effect of each stage sits."""
 
+IN_SERIES = "in series with the damper"
+
+
+def place_of_effect(effect: str) -> str:
+    """Return where an effect of the catalogue acts, on the way from the motion of the rod to the reading of the force."""
+    known = EFFECTS[effect]
+    return IN_SERIES if known.elongation is not None else STAGE_NAMES[known.stage]
+
 
 def effect_name(explanation: str) -> str:
     """Return the name of an explanation within a sentence: an effect, another damper model, or "" for no effect at all."""
