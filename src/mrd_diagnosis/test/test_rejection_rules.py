@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from textwrap import dedent
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.decision import causes
+from mrd_diagnosis.decision import causes, conclusion
 from mrd_diagnosis.decision.conclusion import Conclusion, worse_by_runs
 from mrd_diagnosis.decision.explanation import Explanation
 from mrd_diagnosis.decision.rejection_rules import RULES, Claim, markdown_table, rejecting_rule
@@ -276,6 +277,44 @@ def test_an_effect_is_not_explained_where_another_damper_model_does_as_much(monk
     assert diagnosis.verdict in ("ambiguous", "unknown_effect")
     monkeypatch.setattr(module, "fit_alternative_models", partial(as_good, "gas_spring"))
     assert diagnose(runs, "bouc_wen", effects=("channel_delay", "gas_spring")).verdict == "explained"
+
+
+@pytest.mark.parametrize(
+    ("left_alone", "named"), [(1500.0, {"bypass_flow", "side_load_friction"}), (0.0, {"bypass_flow"}), (None, set())]
+)
+def test_the_rules_are_asked_again_when_what_remains_was_fitted_without_the_rejected(monkeypatch, left_alone, named):
+    """A thinning has no size in these runs; with it, friction by side load has one, and without it perhaps none."""
+
+    def cause(effect, size, remark=""):
+        name = EFFECTS[effect].parameters[0].name
+        estimate = ParameterEstimate(Interval(size, size - 100.0, size + 100.0), "", remark)
+        return Cause(effect, 0.9, 1e-3, Interval(0.3, 0.2, 0.4), {f"{effect}.{name}": estimate})
+
+    def causes_of(explanation, _rng):
+        effects = explanation.comparison.effects
+        whole = "shear_thinning" in effects
+        sizes = {
+            "shear_thinning": cause("shear_thinning", 4000.0, UNDETERMINED),
+            "side_load_friction": cause("side_load_friction", 1500.0 if whole else left_alone or 0.0),
+            "bypass_flow": cause("bypass_flow", 0.0 if left_alone is None and not whole else 1500.0),
+        }
+        return tuple(sizes[effect] for effect in effects)
+
+    def chosen(effects):
+        return SimpleNamespace(effects=tuple(effects), base=None, best=None)
+
+    monkeypatch.setattr(conclusion, "name_causes", causes_of)
+    monkeypatch.setattr(conclusion, "harmful_effects", lambda *_: ())
+    monkeypatch.setattr(conclusion, "closed_fraction_between", lambda *_: Interval(0.6, 0.5, 0.7))
+    monkeypatch.setattr(conclusion, "_with_only", lambda _comparison, effects: chosen(effects))
+    monkeypatch.setattr(conclusion, "with_intervals_of_all_forms", lambda cause, _explanation: cause)
+    whole = chosen(["shear_thinning", "side_load_friction", "bypass_flow"])
+    explanation = Explanation("partly_explained", whole, {effect: {effect: 0.9} for effect in whole.effects}, {})
+    found = conclusion.conclude(explanation, whole, (), None, np.random.default_rng(0))
+    assert {cause.effect for cause in found.causes} == named
+    assert {entry.effect for entry in found.rejected} == set(whole.effects) - named
+    assert found.explanation.verdict == ("partly_explained" if named else "unknown_effect")
+    assert (found.complete is whole) == (not named)
 
 
 def test_what_predicts_each_run_worse_from_the_others_is_no_cause():

@@ -80,22 +80,27 @@ def conclude(
     if harmful:
         kept = [effect for effect in complete.effects if effect not in harmful]
         explanation, complete, causes = _named_alone(explanation, complete, kept, rng, in_loop)
-    named: tuple[Cause, ...] = ()
     rules: list[Rule] = []
     reasons: list[Finding] = []
-    for cause, claim in zip(causes, _claims(causes, complete, findings, of_clocks, rng), strict=True):
-        rule = rejecting_rule(claim)
-        if rule is None:
-            named = (*named, cause)
-            continue
-        rules.append(rule)
-        rejected.append(_rejected(claim, rule))
-        reasons += claim.limitations if rule.id == "limitation" else [of_clocks] if rule.id == "clocks" and of_clocks else []
-    effects = [cause.effect for cause in named]
+    whole = explanation, complete
+    while causes:
+        claims = _claims(causes, complete, findings, of_clocks, rng)
+        against = [rejecting_rule(claim) for claim in claims]
+        for claim, rule in zip(claims, against, strict=True):
+            if rule is None:
+                continue
+            rules.append(rule)
+            rejected.append(_rejected(claim, rule))
+            reasons += claim.limitations if rule.id == "limitation" else []
+            reasons += [of_clocks] if rule.id == "clocks" and of_clocks else []
+        kept = [claim.effect for claim, rule in zip(claims, against, strict=True) if rule is None]
+        if len(kept) == len(causes):
+            break
+        # Without the others, what remains may have another size, or close less. Without any, all stay as what comes nearest.
+        explanation, complete, causes = _named_alone(explanation, complete, kept, rng, in_loop) if kept else (*whole, ())
+    effects = [cause.effect for cause in causes]
     explanation = replace(explanation, verdict=verdict_after_rejection(explanation.verdict, effects, rules, reasons))
-    if rules and named:
-        explanation, complete, named = _named_alone(explanation, complete, effects, rng, in_loop)
-    causes = tuple(with_intervals_of_all_forms(cause, explanation) for cause in named)
+    causes = tuple(with_intervals_of_all_forms(cause, explanation) for cause in causes)
     return Conclusion(explanation, complete, causes, tuple(rejected), tuple(dict.fromkeys(reasons)))
 
 
