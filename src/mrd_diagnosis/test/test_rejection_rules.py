@@ -127,8 +127,11 @@ def test_a_size_that_trades_with_a_shape_is_not_absent_where_it_closes_the_gap()
         "hardening_spring.force": ParameterEstimate(Interval(40.0, 0.0, 97.0), "N"),
         "hardening_spring.exponent": ParameterEstimate(Interval(4.9, 3.2, 6.6), ""),
     }
-    assert rejecting_rule(Claim("hardening_spring", spring, closed_fraction=Interval(0.9, 0.8, 1.0))) is None
-    assert rejecting_rule(Claim("hardening_spring", spring, closed_fraction=Interval(0.4, -0.1, 0.7))).id == "neutral"
+    much, perhaps_nothing = Interval(0.9, 0.8, 1.0), Interval(0.4, -0.1, 0.7)
+    assert rejecting_rule(Claim("hardening_spring", spring, closed_fraction=much, closed_beside=much)) is None
+    # What it closes around another form tells nothing of the size in the user's model.
+    by_form = Claim("hardening_spring", spring, closed_fraction=much, closed_beside=perhaps_nothing)
+    assert rejecting_rule(by_form).id == "neutral"
     left_out = spring | {"hardening_spring.force": ParameterEstimate(Interval(0.0, 0.0, 97.0), "N")}
     assert rejecting_rule(Claim("hardening_spring", left_out, closed_fraction=Interval(0.9, 0.8, 1.0))).id == "neutral"
     alone = {"hardening_spring.force": spring["hardening_spring.force"]}
@@ -301,11 +304,13 @@ def test_the_rules_are_asked_again_when_what_remains_was_fitted_without_the_reje
         return tuple(sizes[effect] for effect in effects)
 
     def chosen(effects):
-        return SimpleNamespace(effects=tuple(effects), base=None, best=None)
+        return SimpleNamespace(effects=tuple(effects), weighting=None, base=None, best=None)
 
     monkeypatch.setattr(conclusion, "name_causes", causes_of)
     monkeypatch.setattr(conclusion, "harmful_effects", lambda *_: ())
     monkeypatch.setattr(conclusion, "closed_fraction_between", lambda *_: Interval(0.6, 0.5, 0.7))
+    monkeypatch.setattr(conclusion, "refit_on", lambda *_: None)
+    monkeypatch.setattr(conclusion, "refit_without", lambda *_: None)
     monkeypatch.setattr(conclusion, "_with_only", lambda _comparison, effects: chosen(effects))
     monkeypatch.setattr(conclusion, "with_intervals_of_all_forms", lambda cause, _explanation: cause)
     whole = chosen(["shear_thinning", "side_load_friction", "bypass_flow"])

@@ -11,8 +11,8 @@ from mrd_diagnosis.decision.causes import name_causes, with_intervals_of_all_for
 from mrd_diagnosis.decision.explanation import Explanation
 from mrd_diagnosis.decision.rejection_rules import RULES, Claim, Rule, rejecting_rule
 from mrd_diagnosis.decision.verdict import verdict_after_rejection
-from mrd_diagnosis.diagnosis import AlternativeModel, Candidate, Cause, Finding, Rejected
-from mrd_diagnosis.fitting.refit import refit_on
+from mrd_diagnosis.diagnosis import AlternativeModel, Candidate, Cause, Finding, Interval, Rejected
+from mrd_diagnosis.fitting.refit import Refit, refit_on
 from mrd_diagnosis.recordings.imitating_limitations import imitating_limitations
 from mrd_diagnosis.search.model_comparison import ModelComparison, RefitComparison, refit_without, unchanged, with_chain
 from mrd_diagnosis.thresholds import THRESHOLDS
@@ -126,13 +126,12 @@ def harmful_effects(comparison: ModelComparison, rng: np.random.Generator) -> tu
     part. The most harmful one is left out before the rest is judged again, so that of two that take each other's place one
     stays.
     """
-    weighting, effects = comparison.weighting, list(comparison.effects)
+    effects = list(comparison.effects)
     harmful: list[str] = []
     # The simulator is in the loop of none of these refits.
-    best = refit_on(weighting, comparison.best)
+    best = refit_on(comparison.weighting, comparison.best)
     while len(effects) > 1:
-        without = dict(zip(effects, in_threads(partial(refit_without, weighting, best), effects), strict=True))
-        closed = {effect: closed_fraction_between(without[effect], best, comparison, rng) for effect in effects}
+        without, closed = _beside_others(comparison, best, effects, rng)
         least = min(effects, key=lambda effect: closed[effect].upper)
         if not closed[least].upper < 0.0:
             break
@@ -140,6 +139,15 @@ def harmful_effects(comparison: ModelComparison, rng: np.random.Generator) -> tu
         effects.remove(least)
         best = without[least]
     return tuple(harmful)
+
+
+def _beside_others(
+    comparison: ModelComparison, best: Refit, effects: Sequence[str], rng: np.random.Generator
+) -> tuple[dict[str, Refit], dict[str, Interval]]:
+    """Return a model without each of its effects, and the share of the gap that each closes beside the others."""
+    refits = in_threads(partial(refit_without, comparison.weighting, best), effects)
+    without = dict(zip(effects, refits, strict=True))
+    return without, {effect: closed_fraction_between(without[effect], best, comparison, rng) for effect in effects}
 
 
 def _named_alone(
@@ -169,6 +177,10 @@ def _claims(
     """Return what is claimed of each cause, with what speaks against it."""
     together = closed_fraction_between(complete.base, complete.best, complete, rng)
     open_fraction = float(np.clip(1.0 - np.nan_to_num(together.value), 0.0, 1.0))
+    beside = dict.fromkeys(complete.effects, together)
+    if len(causes) > 1:
+        best = refit_on(complete.weighting, complete.best)
+        beside = _beside_others(complete, best, complete.effects, rng)[1]
     return [
         Claim(
             cause.effect,
@@ -178,6 +190,7 @@ def _claims(
             cause.closed_fraction,
             open_fraction,
             together,
+            beside[cause.effect],
             limitations=_unrefuted(cause.effect, imitating_limitations(cause.effect, findings), complete),
             clocks_agree=of_clocks is None,
             level=cause.level,
@@ -208,6 +221,7 @@ def reject_others(
             candidate.p_value,
             candidate.closed_fraction,
             1.0 - float(np.clip(np.nan_to_num(candidate.closed_fraction.value), 0.0, 1.0)),
+            closed_beside=candidate.closed_fraction,
             chosen=False,
             has_gap=conclusion.explanation.verdict != "no_gap",
             limitations=imitating_limitations(effect, findings),

@@ -29,6 +29,8 @@ class Claim:
         Share of the gap that stays open with all chosen effects.
     closed_together : Interval
         Share that these close; nan for an effect that is none of them.
+    closed_beside : Interval
+        Share that it closes beside the others of these, in the user's model.
     chosen : bool
         Whether it belongs to the best explanation.
     has_gap : bool
@@ -53,6 +55,7 @@ class Claim:
     closed_fraction: Interval = Interval(float("nan"))
     open_fraction: float = 0.0
     closed_together: Interval = Interval(float("nan"))
+    closed_beside: Interval = Interval(float("nan"))
     chosen: bool = True
     has_gap: bool = True
     limitations: tuple[Finding, ...] = ()
@@ -111,10 +114,10 @@ def _may_be_absent(claim: Claim) -> bool:
     if not sizes or not all(size.lower <= neutral <= size.upper for size, neutral in sizes):
         return False
     # Size and shape take each other's place: a spring of any force fits with another exponent. Then the interval of the size
-    # alone does not tell whether the effect is there, and what it closes does, unless the fit itself left the effect out.
+    # alone does not tell whether the effect is there, and what it closes with this size does, unless the fit left it out.
     has_shape = len(claim.parameters) > len(sizes)
     left_out = all(size.value == neutral for size, neutral in sizes)
-    return left_out or not (has_shape and claim.closed_fraction.lower > 0.0)
+    return left_out or not (has_shape and claim.closed_beside.lower > 0.0)
 
 
 def _closes_little(claim: Claim) -> bool:
