@@ -72,7 +72,7 @@ def test_the_level_is_what_the_recordings_determine(probabilities, level):
         (
             "class",
             ["channel_delay", "force_sensor_lag"],
-            "the measured force is late, which is either that the force channel is late by 0 s (40 %) "
+            "the measured force is late: either the force channel is late by 0 s (40 %) "
             "or the force sensor lags by 0 s (40 %)",
         ),
         (

@@ -150,7 +150,7 @@ def test_an_advised_experiment_tells_a_delay_from_a_lag(alike):
     advice = advise(refits, weighting, progress=fractions.append)
     assert advice.between == ("channel_delay", "force_sensor_lag")
     assert advice.error_rate < THRESHOLDS.wrong_choices
-    assert "delay of the force channel and lag of the force sensor apart" in advice.text
+    assert "between delay of the force channel and lag of the force sensor;" in advice.text
     assert fractions[-1] == pytest.approx(1.0)
     _, truth, plans = DAMPERS["delay"]
     after = fitted([*plans, plan_of(advice)], truth, refits)
@@ -293,3 +293,18 @@ def test_an_effect_without_its_own_sensor_is_advised_by_its_stage():
     text = sensor({"moving_mass"}, {"magnetic_hysteresis"})
     assert "flux" in text
     assert EFFECTS["magnetic_hysteresis"].separated_by in text
+
+
+def test_an_experiment_that_leaves_a_pair_open_says_so_in_the_same_sentence(alike):
+    weighting, _ = alike
+    decided, left_open = Separation(60.0), Separation(1e-3)
+    separations = {
+        ("end_stop", "backlash"): decided,
+        ("end_stop", "joint_play"): decided,
+        ("backlash", "joint_play"): left_open,
+    }
+    advice = advice_module._advise_experiment(*sines((5e-3, 1.0)), separations, weighting)
+    assert (
+        "It decides between end stop, backlash of the drive and play in a joint, but not between backlash of the drive "
+        "and play in a joint; after it, such a choice would be wrong in "
+    ) in advice.text

@@ -31,6 +31,7 @@ from mrd_diagnosis.diagnosis import (
     Finding,
     Gap,
     Interval,
+    Member,
     ParameterEstimate,
     Region,
     Rejected,
@@ -509,11 +510,11 @@ def test_runs_are_called_held_out_as_they_were():
 
 def test_the_advised_experiment_lies_beside_the_report(tmp_path):
     diagnosis, experiment = diagnosed("ambiguous"), tmp_path / "next_experiment.yaml"
-    assert "The experiment separates " in markup_of(write_gap_report(diagnosis, tmp_path))
+    assert diagnosis.next_experiment.text in markup_of(write_gap_report(diagnosis, tmp_path))
     assert experiment.read_text() == EXPERIMENT
     advice = Advice("No run would tell them apart.", between=("channel_delay", ""))
     without = replace(diagnosis, next_experiment=advice)
-    assert "The experiment separates " not in markup_of(write_gap_report(without, tmp_path))
+    assert "The experiment is in <code>" not in markup_of(write_gap_report(without, tmp_path))
     assert not experiment.exists()
 
 
@@ -1052,3 +1053,27 @@ def test_the_page_draws_in_a_browser_without_errors(verdict, tmp_path):
     done = subprocess.run([CHROMIUM, *options, page.as_uri()], capture_output=True, text=True, timeout=120, check=True)
     assert "CONSOLE" not in done.stderr
     assert done.stdout.count('<figure class="plot"') == {"data_fault": 0, "no_gap": 8}.get(verdict, 9)
+
+
+def test_what_was_seen_and_not_named_stands_in_one_sentence():
+    diagnosis = diagnosed("partly_explained")
+    seen = [
+        Rejected(effect, rule, why, True, 0.6, 1e-3, about(0.1), {})
+        for effect, rule, why in (
+            ("shear_thinning", "undetermined", "these runs do not determine its size"),
+            ("gas_spring", "little", "it closes next to nothing of the gap"),
+        )
+    ]
+    sentence = verdict_sentence(replace(diagnosis, rejected=tuple(seen)))
+    assert (
+        "Seen as well, but not named as a cause: shear thinning (these runs do not determine its size) and gas spring "
+        "(it closes next to nothing of the gap)."
+    ) in sentence
+
+
+def test_of_a_class_it_is_said_which_member_was_added():
+    diagnosis = diagnosed("explained")
+    (cause,) = diagnosis.causes
+    members = (Member(cause.effect, 0.5, 1.0, cause.parameters), Member("force_sensor_lag", 0.4, 0.9, {}))
+    of_class = replace(cause, level="class", members=members)
+    assert "Adding delay of the force channel removes " in verdict_sentence(replace(diagnosis, causes=(of_class,)))

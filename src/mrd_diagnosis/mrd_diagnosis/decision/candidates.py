@@ -30,7 +30,7 @@ def list_alternatives(comparison: ModelComparison, probabilities: Probabilities)
             other,
             effect,
             float(probability),
-            "predicts held-out data nearly as well",
+            "it may be the cause instead",
             parameters_of_effect(other, effect_parameters(refits[other])) if other in refits else {},
         )
         for effect, probabilities_of_others in probabilities.items()

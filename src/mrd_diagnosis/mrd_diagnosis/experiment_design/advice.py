@@ -129,8 +129,9 @@ def advise(
         return _advise_sensor(planned, worst_pair, separations[worst_pair], predictor)
     advice = _advise_experiment(planned, separations, weighting)
     if worst_pair:
-        text = f"It does not tell {effect_names(worst_pair)} apart. {_sensor_for(worst_pair, predictor)}"
-        return replace(advice, text=f"{advice.text} {text}")
+        said = set(worst_pair) <= set(advice.between)
+        undecided = "" if said else f" It does not decide between {effect_names(worst_pair)}."
+        return replace(advice, text=f"{advice.text}{undecided} {_sensor_for(worst_pair, predictor)}")
     return advice
 
 
@@ -158,9 +159,11 @@ def _advise_experiment(planned: Plan, separations: Mapping[Pair, Separation], we
     between = tuple(dict.fromkeys(name for pair in separations for name in pair if any(name in p for p in separated)))
     error_rate = max(separation.error_rate for separation in separated.values())
     experiment = replace(planned.experiment, rate=_rate(weighting))
+    undecided = [pair for pair in separations if pair not in separated and set(pair) <= set(between)]
+    but = "".join(f", but not between {effect_names(pair)}" for pair in undecided)
     text = (
-        f"Record {experiment.name}: {experiment.description}. It tells {effect_names(between)} apart; "
-        f"after it, a choice between them would be wrong in {_percent(error_rate)} of all cases."
+        f"Record {experiment.name}: {experiment.description}. It decides between {effect_names(between)}{but}; "
+        f"after it, such a choice would be wrong in {_percent(error_rate)} of all cases."
     )
     return Advice(text, format_experiment(experiment), between, error_rate)
 

@@ -166,7 +166,7 @@ def library(bench: GeneratorSettings, sizes: Sizes = Sizes(), names: Container[s
         _multisine(sizes.mm(12.0), 8.0, 9),
         Constant(sizes.ma(240)),
         repeats=3,
-        description="the same fast motion for half a minute at constant current, which warms and settles the damper",
+        description="fast motion at constant current, three times in a row, which warms and settles the damper",
     )
     plans = (
         plan_scaled(experiment, bench.limits, bench.force_envelope)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from mrd_base.figures import HALF, NARROW, to_html
 from mrd_base.json_file import make_folder
 from mrd_diagnosis.diagnosis import (
-    Advice,
     Cause,
     CorrectedSimulator,
     Diagnosis,
@@ -239,11 +238,10 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
                 other.effect,
                 effect_name(other.instead_of),
                 format_probability(other.probability),
-                other.why,
             )
             for other in diagnosis.alternatives
         ],
-        "advice": _advice(diagnosis.next_experiment) if diagnosis.next_experiment else None,
+        "advice": diagnosis.next_experiment,
         "regions": to_html(figures.region_chart(regions)) if regions else "",
         "maps": [(capitalised(title), to_html(figure, NARROW)) for title, figure in figures.map_figures(diagnosis)],
         "shown_run": shown.recording.run.name,
@@ -470,14 +468,6 @@ def _unnoticed(diagnosis: Diagnosis, nearest: Collection[str]) -> list[tuple[str
         (candidate_title(candidate), candidate.effects[0], capitalised(candidate.smallest_detectable) or "not computed")
         for candidate in unnamed
     )
-
-
-def _advice(advice: Advice) -> dict[str, Any]:
-    return {
-        "experiment": advice.experiment,
-        "between": [effect_name(explanation) for explanation in advice.between],
-        "error_rate": format_share(advice.error_rate) if np.isfinite(advice.error_rate) else "",
-    }
 
 
 def _run_row(residual: RunResidual) -> dict[str, Any]:

@@ -194,11 +194,8 @@ def _partly_explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     sentences.append(
         f"{beside}{clauses if beside else capitalised(clauses)} ({_certainty(diagnosis)}).{_removal(diagnosis, gap)}"
     )
-    sentences += [
-        f"It seems as well that {effect_clause(entry.effect, entry.parameters)}; this is not named as a cause: {entry.why}."
-        for entry in diagnosis.rejected
-        if entry.chosen
-    ]
+    if seen := [f"{effect_name(entry.effect)} ({entry.why})" for entry in diagnosis.rejected if entry.chosen]:
+        sentences.append(f"Seen as well, but not named as a cause: {join_words(seen)}.")
     for cause in diagnosis.causes:
         members = [member.effect for member in cause.members] if cause.level == "class" else []
         others = [
@@ -308,7 +305,7 @@ def next_step(diagnosis: Diagnosis) -> str:
                 "without an effect, and the causes are fitted anew beside it. Apply the result of that. The second command "
                 f"adds what was found here to the present model until then{unproven}."
             )
-        return f"{add} {remedies} Then diagnose all runs again." if (remedies := _remedies(diagnosis)) else add
+        return f"{add} {steps} Then diagnose all runs again." if (steps := _what_to_record(diagnosis)) else add
     if diagnosis.verdict == "ambiguous" and not diagnosis.causes:
         return _step_to_determine(diagnosis)
     if diagnosis.verdict == "ambiguous":
@@ -342,8 +339,8 @@ def next_step(diagnosis: Diagnosis) -> str:
             "current on and with the drive off, and tap frame and load cell. Record the same motion at half its speed as "
             "well: a frequency that follows the speed comes from the drive, a fixed one from structure or electronics. "
         )
-    if remedies := _remedies(diagnosis):
-        return f"{text}{remedies} Then diagnose all runs again."
+    if steps := _what_to_record(diagnosis):
+        return f"{text}{steps} Then diagnose all runs again."
     return f"{text}See where the error lies, and describe the missing effect in a file of your own (docs/effects.md)."
 
 
@@ -431,6 +428,13 @@ def _remedies(diagnosis: Diagnosis) -> str:
     return " ".join(dict.fromkeys(finding.remedy for finding in diagnosis.findings if finding.severity == "limitation"))
 
 
+def _what_to_record(diagnosis: Diagnosis) -> str:
+    """Return what to record besides the runs: what mends their limitations, and the advised experiment."""
+    advice = diagnosis.next_experiment
+    record = "Record next_experiment.yaml, which decides between what is left open." if advice and advice.experiment else ""
+    return " ".join(filter(None, [_remedies(diagnosis), record]))
+
+
 def corrected_label(diagnosis: Diagnosis) -> str:
     """Return what the corrected simulator contains, such as "with the cause"; empty where it contains no effect."""
     found = what_was_found(diagnosis)
@@ -479,7 +483,7 @@ def cause_clause(cause: Cause) -> str:
         [f"{text} ({probability})" for text, probability in zip([clause, *others], likely, strict=True)], "or"
     )
     name = class_name([member.effect for member in cause.members])
-    return f"{name}, which is either that {either}" if name else f"either {either}"
+    return f"{name}: either {either}" if name else f"either {either}"
 
 
 def _effects_tried(diagnosis: Diagnosis) -> int:
@@ -509,6 +513,8 @@ def _removal(diagnosis: Diagnosis, gap: Gap) -> str:
     if not math.isfinite(gap.closed_fraction.value):
         return ""
     adding = {1: "this effect", 2: "both effects"}.get(len(diagnosis.causes), "these effects")
+    if [cause.level for cause in diagnosis.causes] == ["class"]:
+        adding = effect_name(diagnosis.causes[0].effect)
     share = format_share(gap.closed_fraction.value)
     return f" Adding {adding} removes {share} of the {_gap_name(diagnosis, 'explainable gap')}."
 
