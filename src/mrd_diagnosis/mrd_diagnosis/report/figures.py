@@ -70,7 +70,8 @@ def error_chart(diagnosis: Diagnosis, gap: Gap) -> go.Figure:
     shown = [row for row in rows if np.isfinite(row[1].value)][::-1]
     names, values, colours = zip(*shown, strict=True)
     longest = max(_upper_end(value) for value in values)
-    figure = go.Figure(_bars(names, values, colours))
+    # A label of two lines leaves more of a narrow screen to the bars.
+    figure = go.Figure(_bars([_wrapped(name) for name in names], values, colours))
     for place, value in enumerate(values):
         figure.add_annotation(
             x=_upper_end(value) + 0.015 * longest,
@@ -80,9 +81,7 @@ def error_chart(diagnosis: Diagnosis, gap: Gap) -> go.Figure:
             xanchor="left",
             font={"size": 12},
         )
-    figure.update_xaxes(
-        title_text="held-out error (NRMSE)", tickformat=".3~p", range=[0, 1.2 * max(longest, 1e-9)], nticks=6
-    )
+    figure.update_xaxes(title_text="held-out error", tickformat=".3~p", range=[0, 1.2 * max(longest, 1e-9)], nticks=5)
     return _bar_layout(figure, len(shown))
 
 
