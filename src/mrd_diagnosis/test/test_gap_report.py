@@ -258,7 +258,7 @@ def test_every_verdict_is_a_file_and_a_page_that_needs_no_network(verdict, tmp_p
         assert finding.text in markup
     assert "<footer>" in markup
     if verdict != "data_fault":
-        assert re.search(r'aria-label="Chart of held-out error \(NRMSE\): .*parameters refitted 0\.', markup)
+        assert re.search(r'aria-label="Chart of held-out error: .*parameters refitted 0\.', markup)
 
 
 def seen_only():
@@ -645,7 +645,7 @@ def test_the_chart_of_errors_shows_what_remains_beside_the_causes():
     diagnosis = diagnosed("partly_explained")
     gap = diagnosis.gap
     bars = figures.error_chart(diagnosis, gap).data[0]
-    error = dict(zip(bars.y, bars.x, strict=True))
+    error = {name.replace("<br>", " "): value for name, value in zip(bars.y, bars.x, strict=True)}
     floor, before, after = (value.value**2 for value in (gap.noise_floor, gap.before, gap.after))
     freer = after - 0.08 * (before - floor)
     assert error["with the cause, and a freer form"] == pytest.approx(np.sqrt(freer), abs=1e-5)
