@@ -389,7 +389,8 @@ class _Drawing:
         places = {self._domain(pair["xy".index(axis)]) for pair in self.panels}
         pixels = (self.width if axis == "x" else self.layout["height"]) / len(places)
         if axis == "x":
-            pixels -= CHARACTER * FONT_SIZE * max((len(_plain(name)) for name in panel.categories["y"]), default=6)
+            lines = [line for name in panel.categories["y"] for line in _plain(name).split("\n")]
+            pixels -= CHARACTER * FONT_SIZE * max(map(len, lines), default=6)
         categories = panel.categories[axis]
         if categories:
             side.set_ticks(range(len(categories)), labels=[_plain(name) for name in categories])

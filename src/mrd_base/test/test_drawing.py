@@ -101,6 +101,12 @@ def test_ticks_of_a_narrow_drawing_do_not_touch():
     assert len([text for text in texts(draw(figure, 900)) if re.fullmatch(r"\D?\d+ %", text)]) == 7
 
 
+def test_a_label_of_two_lines_takes_the_room_of_its_longer_line():
+    figure = bars().update_xaxes(tickvals=[-1, -0.5, 0, 0.5, 1], range=[-0.3, 1.05])
+    figure.data[0].y = ["nonlinearity of the<br>position transducer", "delay"]
+    assert {"0 %", "100 %"} <= set(texts(draw(figure, NARROW)))
+
+
 def test_a_text_beside_a_narrow_diagram_covers_no_bar():
     figure = bars().update_yaxes(autorange=True)
     figure.data[0].x = [1.0, 0.5]

@@ -133,7 +133,7 @@ def candidate_chart(diagnosis: Diagnosis) -> go.Figure:
         title_text="share of the gap removed",
         tickformat=".0%",
         range=[np.floor(lowest / 0.25) * 0.25 - 0.05 * (lowest < 0), 1.05],
-        tickvals=[-1, -0.75, -0.5, -0.25, 0, 0.25, 0.5, 0.75, 1],
+        tickvals=[-1, -0.5, 0, 0.5, 1],
     )
     _bar_layout(figure, len(shown), top=28)
     return figure.update_layout(margin_r=84) if with_probabilities(diagnosis) else figure
