@@ -1077,3 +1077,13 @@ def test_of_a_class_it_is_said_which_member_was_added():
     members = (Member(cause.effect, 0.5, 1.0, cause.parameters), Member("force_sensor_lag", 0.4, 0.9, {}))
     of_class = replace(cause, level="class", members=members)
     assert "Adding delay of the force channel removes " in verdict_sentence(replace(diagnosis, causes=(of_class,)))
+
+
+def test_only_a_cause_in_whose_place_another_may_stand_is_called_unsure():
+    diagnosis = diagnosed("ambiguous")
+    (cause,) = diagnosis.causes
+    sure = replace(cause, effect="flow_asymmetry", parameters={}, members=())
+    cards = page_content(replace(diagnosis, causes=(cause, sure)))["comparison"]["causes"]
+    assert [card["clause"].startswith("If this is the cause: ") for card in cards] == [True, False]
+    cards = page_content(replace(diagnosis, alternatives=()))["comparison"]["causes"]
+    assert cards[0]["clause"].startswith("If this is the cause: ")

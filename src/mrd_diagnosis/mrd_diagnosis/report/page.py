@@ -34,6 +34,7 @@ from mrd_diagnosis.report.sentences import (
     FORM,
     corrected_label,
     found_several,
+    is_doubted,
     next_command,
     next_step,
     notable_model,
@@ -199,9 +200,7 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
         "most_candidates": figures.MOST_CANDIDATES,
         "negative": any(c.closed_fraction.value < -LEAST_SHOWN for c in ordered[: figures.MOST_CANDIDATES]),
         "causes": [
-            _effect_card(
-                cause.effect, _cause_facts(diagnosis, cause, gap), cause.parameters, diagnosis.verdict == "ambiguous"
-            )
+            _effect_card(cause.effect, _cause_facts(diagnosis, cause, gap), cause.parameters, is_doubted(diagnosis, cause))
             for cause in diagnosis.causes
         ],
         "parameter_columns": [title for title, _ in _parameter_columns(diagnosis, corrected)],

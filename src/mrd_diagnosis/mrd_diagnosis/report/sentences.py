@@ -120,15 +120,13 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that several explanations fit nearly as well."""
     if not diagnosis.causes:
         return _seen_sentence(diagnosis, gap)
-    alternatives = diagnosis.alternatives
-    doubted = {alternative.instead_of for alternative in alternatives}
-    certain = [cause for cause in diagnosis.causes if cause.effect not in doubted]
-    uncertain = [cause for cause in diagnosis.causes if cause.effect in doubted]
+    certain = [cause for cause in diagnosis.causes if not is_doubted(diagnosis, cause)]
+    uncertain = [cause for cause in diagnosis.causes if is_doubted(diagnosis, cause)]
     options: dict[str, Cause | Alternative] = {cause.effect: cause for cause in uncertain}
-    for alternative in alternatives:
+    for alternative in diagnosis.alternatives:
         # An effect may be an alternative to two causes.
         options.setdefault(alternative.effect, alternative)
-    if not options:
+    if not diagnosis.alternatives:
         return f"Probably {_clauses(diagnosis.causes)} ({_certainty(diagnosis)}).{_removal(diagnosis, gap)}"
     clauses = [effect_clause(option.effect, option.parameters) for option in options.values()]
     likely = [format_probability(option.probability) for option in options.values()]
@@ -140,6 +138,12 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
         share = format_share(gap.closed_fraction.value)
         text += f" The most likely explanation removes {share} of the {_gap_name(diagnosis, 'explainable gap')}."
     return text
+
+
+def is_doubted(diagnosis: Diagnosis, cause: Cause) -> bool:
+    """Whether another explanation may stand in the place of a cause; of any cause, where an ambiguous verdict lists none."""
+    doubted = {alternative.instead_of for alternative in diagnosis.alternatives}
+    return diagnosis.verdict == "ambiguous" and (not doubted or cause.effect in doubted)
 
 
 def _in_common(cause: Cause) -> str:
