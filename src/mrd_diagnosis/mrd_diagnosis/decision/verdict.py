@@ -2,7 +2,8 @@
 
 1. `verdict_on_gap`, or `verdict_on_change` where there are reference runs: what the model comparison says.
 2. `verdict_beside_other_forms`: where no explanation around the given model holds, what holds around other damper models.
-3. `verdict_after_rejection`: what the rejection rules leave of that.
+3. `verdict_after_rejection`: what the rejection rules leave of that; asked once more where whole runs are predicted worse
+   (`mrd_diagnosis.decision.conclusion.worse_by_runs`).
 
 Only the preflight check comes before: a fault of the recordings is a `data_fault`, and nothing is fitted.
 """
