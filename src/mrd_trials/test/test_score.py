@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from mrd_base import InputError
-from mrd_trials.records import Evaluation, Explanation, GapBin, GroundTruth, Submission
+from mrd_trials.records import Evaluation, Explanation, GapBin, GroundTruth, Submission, WeighedEffect
+from mrd_trials.scoring.classes import LOST
 from mrd_trials.scoring.gap import AxisOverlap, ExperimentComparison, overlaps
 from mrd_trials.scoring.goals import Goal
 from mrd_trials.scoring.rates import Distribution, Rate, calibration
@@ -205,6 +206,27 @@ def test_one_name_does_not_stand_for_both_causes_of_a_pair():
 
 
 # Mistakes
+
+
+def test_where_a_cause_was_lost_is_counted():
+    def weighed(effect, probability, members=(), table=()):
+        return WeighedEffect(effect, (effect, *members), probability, {}, dict.fromkeys((effect, *table), 0.5))
+
+    plants = {
+        "named": [weighed("backlash", 0.9)],
+        "never": [weighed("gas_spring", 0.9)],
+        "table": [weighed("gas_spring", 0.9, table=["backlash"])],
+        "doubt": [weighed("joint_play", 0.3, ["backlash"]), weighed("gas_spring", 0.9, table=["backlash"])],
+        "later": [weighed("backlash", 0.8)],
+    }
+    submissions = [
+        submit(plant, "partly_explained", *([("backlash", 0.9)] if plant == "named" else []), weighed=tuple(entries))
+        for plant, entries in plants.items()
+    ]
+    classes = score([truth_of(plant, "single", "backlash") for plant in plants], submissions).by_excitation["rich"].classes
+    assert classes.right == Rate(1, 5)
+    assert list(classes.lost.values()) == [Rate(1, 4)] * 4
+    assert list(classes.lost) == list(LOST)
 
 
 def test_alarms_and_wrong_names():

@@ -7,6 +7,9 @@ from mrd_trials.records import Explanation
 from mrd_trials.scoring.plant_result import PlantResult, PlantResults
 from mrd_trials.scoring.rates import Distribution, Rate
 
+LOST = ("not weighed", "in a table, but not first", "less than half by its evidence", "rejected after that")
+"""Where a diagnosis loses a cause that it does not name, in the order in which it asks. Changes are not weighed."""
+
 
 @dataclass(frozen=True)
 class ClassRates:
@@ -18,6 +21,8 @@ class ClassRates:
         Detectable plants with one effect that have it in a class that is named.
     both : Rate
         Detectable plants with two effects that have each in a class that is named.
+    lost : mapping
+        By where they were lost (`LOST`): detectable plants with one effect, of those that have it in no class that is named.
     wrong : Rate
         Plants with something named that has none of their effects, or whose diagnosis failed.
     effect : Rate
@@ -34,6 +39,7 @@ class ClassRates:
 
     right: Rate
     both: Rate
+    lost: Mapping[str, Rate]
     wrong: Rate
     effect: Rate
     undivided: Rate
@@ -58,11 +64,13 @@ class ClassRates:
             named = claims[result.truth.plant]
             return result.failed or any(result.not_wrong.isdisjoint(members_of(claim)) for claim in named)
 
+        missed = [result for result in detectable if result.truth.kind == "single" and not holds_all(result)]
         every = [(result, claim) for result in results for claim in claims[result.truth.plant]]
         alone = [(result, claim) for result, claim in every if claim.level == "effect"]
         return cls(
             right=Rate.from_outcomes([holds_all(result) for result in detectable if result.truth.kind == "single"]),
             both=Rate.from_outcomes([holds_all(result) for result in detectable if result.truth.kind == "pair"]),
+            lost={place: Rate.from_outcomes([lost_at(result) == place for result in missed]) for place in LOST},
             wrong=Rate.from_outcomes([is_wrong(result) for result in results]),
             effect=Rate.from_outcomes([not result.not_wrong.isdisjoint(claim.effects) for result, claim in alone]),
             undivided=Rate.from_outcomes([claim.level != "effect" for _, claim in every]),
@@ -76,6 +84,14 @@ class ClassRates:
             ),
             set_sizes=Distribution(tuple(float(len(claim.plausible)) for _, claim in every)),
         )
+
+
+def lost_at(result: PlantResult) -> str:
+    """Return where a diagnosis lost the only effect of a plant, one of `LOST`."""
+    (cause,), weighed = result.truth.causes, result.submission.weighed
+    if led := [entry.probability for entry in weighed if cause in (entry.effect, *entry.members)]:
+        return LOST[2] if max(led) < 0.5 else LOST[3]
+    return LOST[1] if any(cause in entry.table for entry in weighed) else LOST[0]
 
 
 def members_of(claim: Explanation) -> Sequence[str]:

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from mrd_trials.scoring.altered import AlteredScore
-from mrd_trials.scoring.classes import ClassRates
+from mrd_trials.scoring.classes import LOST, ClassRates
 from mrd_trials.scoring.gap import ExperimentComparison
 from mrd_trials.scoring.goals import Figure, Goal
 from mrd_trials.scoring.naming import NamingRates
@@ -29,6 +30,7 @@ class Table:
 
 CLASS_FIGURES: Sequence[tuple[str, Callable[[ClassRates], Figure | str]]] = (
     ("classes, detectable single effects: right class named", lambda rates: rates.right),
+    *((f"… those missed: {place}", partial(lambda place, rates: rates.lost[place], place)) for place in LOST),
     ("… detectable pairs: both classes named", lambda rates: rates.both),
     ("… wrong class named", lambda rates: with_bound(rates.wrong)),
     ("… where one effect is named: right effect", lambda rates: rates.effect),
