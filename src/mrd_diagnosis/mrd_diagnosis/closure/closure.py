@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Interval, RunNoise, RunResidual
 from mrd_diagnosis.fitting.refit import Refit, without_each
-from mrd_diagnosis.fitting.statistics import bootstrap_counts, closed_fraction, nrmse_interval
+from mrd_diagnosis.fitting.statistics import bootstrap_counts, closed_fraction, finite_costs, nrmse_interval
 from mrd_diagnosis.fitting.weighting import error_of_run
 from mrd_diagnosis.noise.noise_model import estimate_noise
 from mrd_diagnosis.search.model_comparison import ModelComparison
@@ -128,10 +128,7 @@ def closed_fraction_between(before: Refit, after: Refit, comparison: ModelCompar
     acting = [place for place, (run, _) in enumerate(comparison.weighting.folds) if not recordings[run].without_effects]
     variance = np.concatenate([noise.sigma for noise in comparison.weighting.noise]) ** 2
     noise_of_folds = np.array([variance[fold].sum() for _, fold in comparison.weighting.folds])
-    # A fit may diverge where a fold is held out.
-    without_effects, lacking, fitted = (
-        np.nan_to_num(refit.held_out_squares, nan=1e30, posinf=1e30) for refit in (comparison.base, before, after)
-    )
+    without_effects, lacking, fitted = (finite_costs(refit.held_out_squares) for refit in (comparison.base, before, after))
     gap = (without_effects - noise_of_folds)[acting]
     draws = bootstrap_counts(len(gap), rng)
     gained = (lacking - fitted)[acting]

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit, softmax, stdtrit
 
 from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Interval, ParameterEstimate
@@ -50,6 +50,11 @@ def tempering_of(dispersion: float, gap: float) -> float:
     return min(1.0, dispersion / (0.5 * THRESHOLDS.formula_error * max(gap, LEAST_GAP)))
 
 
+def finite_costs(costs: ArrayLike) -> Array:
+    """Return costs in which those of a fit that diverged where a fold is held out are large and finite."""
+    return np.nan_to_num(costs, nan=1e30, posinf=1e30)
+
+
 def model_probabilities(
     alternatives: Sequence[Refit], rng: np.random.Generator, effects: Sequence[str] | None = None
 ) -> Array:
@@ -74,8 +79,7 @@ def model_probabilities(
     effects : sequence of str, optional
         The effect of each, empty for none; without them, all have the one temperature.
     """
-    # A fit may diverge where a fold is held out.
-    costs = np.nan_to_num([alternative.held_out_costs for alternative in alternatives], nan=1e30, posinf=1e30)
+    costs = finite_costs([alternative.held_out_costs for alternative in alternatives])
     totals = costs.sum(axis=1)
     best = alternatives[int(np.argmin(totals))]
     # What a fit leaves that diverged in a fold is no gap that others close.

@@ -18,6 +18,7 @@ STAGE_NAMES: Mapping[str, str] = {
 """Where an effect of each stage sits."""
 
 IN_SERIES = "in series with the damper"
+"""Where an element sits that takes a part of the motion of the damper."""
 
 
 def place_of_effect(effect: str) -> str:

@@ -8,7 +8,8 @@ from mrd_trials.scoring.plant_result import PlantResult, PlantResults
 from mrd_trials.scoring.rates import Distribution, Rate
 
 LOST = ("not weighed", "in a table, but not first", "less than half by its evidence", "rejected after that")
-"""Where a diagnosis loses a cause that it does not name, in the order in which it asks. Changes are not weighed."""
+"""These are the steps at which a diagnosis may lose a cause, in their order. A change is never weighed, so that the first
+step loses it."""
 
 
 @dataclass(frozen=True)
