@@ -24,8 +24,11 @@ MOST_IN_SERIES = 5
 """Elements in series: as many as the catalogue has."""
 MOST_PARAMETERS = 5
 """Parameters of such an element."""
-FORCE_TOLERANCE = 1e-6
-"""N, of Newton's last step. The error that it leaves is of the order of its square."""
+TOLERANCE = 1e-5
+"""Of Newton's last step, as a share of the force, and of the damper's speed by the change of speed that it means. The error
+that it leaves is of the order of its square."""
+LEAST_FORCE, LEAST_SPEED = 1e-6, 1e-9
+"""N and m/s, below which a step has converged whatever its share."""
 SHORTEST_STEP = 1e-9
 """s. In less nothing gives way, and speeds of elongation would be rounding."""
 
@@ -206,7 +209,12 @@ def _force_in_series(
             value = vertex.force[0].real + added
             slope = min(slope_of(vertex.force[0]), 0.0)
             newton = (value - guess) / (1.0 - slope)
-            if dt[k] == 0.0 or not abs(newton) > FORCE_TOLERANCE:  # "not" also ends the search where newton is no number
+            if dt[k] == 0.0:
+                break
+            enough = TOLERANCE * abs(value) + LEAST_FORCE
+            enough_speed = (TOLERANCE * abs(vertex.v[0].real) + LEAST_SPEED) * dt[k]
+            # "not" also ends the search where newton is no number
+            if not (abs(newton) > enough or abs(newton * slope_of(elongation)) > enough_speed):
                 break
             if attempt == 0:
                 low, high = min(guess, value), max(guess, value)
@@ -215,7 +223,7 @@ def _force_in_series(
                 low = guess
             else:
                 high = guess
-            if high - low <= FORCE_TOLERANCE:
+            if high - low <= LEAST_FORCE:
                 newton = min(max(newton, low - guess), high - guess)
                 break
             if slope_of(elongation) == 0.0:

@@ -446,3 +446,43 @@ def test_long_steps_of_a_stiff_element_do_not_ring(name):
         return model.force(theta, make_path(time, x, v, np.zeros_like(x), np.full(len(x), 0.05)))
 
     assert relative(force(25.0)[5:], force(4000.0)[:: 4000 // 25][5:]) < 0.01
+
+
+def one_step(state, coefficients, step, x, v):
+    """Return the force and the state of the thinning element after one step."""
+    force, after = np.zeros(1), np.array(state)
+    rows = np.array(coefficients)[:, None]
+    find_model(THINNING).kernel(rows, after, np.array([step]), np.array([x]), np.array([v]), np.zeros(1), force)
+    return force[0], after
+
+
+def test_a_step_has_one_solution_where_speeds_and_travel_of_the_rod_disagree():
+    """A compliance in series gives way within a step by more than its speeds at both ends tell; the force jumped by 90 N."""
+    state = [-0.9152, -3.03913e-3, 7.40562e-4, 2.983997, 1.531495, -6.814126e-4, -8.296511e-3, 1.52516e-6]
+    coefficients = [602.350094, 1.5251628e-6, 0.81727, 2.0, 4342.499, 0.776725, 0.1, 60039.9617, 299.66, 0.0, 119.57]
+    compliance, before, step, x, v = 5.3656e-7, -2.2697381e-4, 5e-3, -9.34364e-4, -4.6898289e-3
+    forces = np.linspace(-398.0, -392.0, 6001)
+    elongations = compliance * forces
+    found = np.array([one_step(state, coefficients, step, x - e, v - (e - before) / step)[0] for e in elongations])
+    assert np.abs(np.diff(found)).max() < 50 * (forces[1] - forces[0])
+
+
+def test_a_state_that_was_moved_along_its_derivatives_leads_to_no_wild_step():
+    """Its speed and its thinning disagree a little; the element then had travelled by a metre."""
+    state = [-0.26056159, 7.3228073e-4, 6.1757853e-5, 6.803938307, 0.93210766, 5.02529736e-5, -1.673170136e-3, 8.0197054e-6]
+    coefficients = [
+        369.12252,
+        8.0197054e-6,
+        0.5,
+        2.0,
+        2806.61987,
+        0.73557879,
+        0.1,
+        55038.26181,
+        285.81687,
+        235.0756,
+        119.901159,
+    ]
+    for speed in np.linspace(-2e-3, -1e-3, 1001):
+        _, after = one_step(state, coefficients, 2.49899e-3, 4.5724e-5, speed)
+        assert abs(after[1] - state[1]) < 1e-5

@@ -38,6 +38,10 @@ ALMOST_STEADY = 1e-3
 """Change of speed, relative to it or to that of `CREEP`, below which the mean speed is that of both ends; the exact
 difference would be rounding. Slower elements are not followed through a reversal either. Where nearly nothing moves,
 derivatives would enlarge both errors without limit."""
+MOST_CORRECTED = 0.5
+"""Share of the travel with a linear drive by which it is corrected at most: that of a speed that rises from zero with the
+cube of time. Where speeds and travel of the rod agree less, as beside a compliance that jumps, the element would move
+against its speed at both ends, and a step would have two solutions."""
 RENEWALS = 3
 """Attempts to solve a step after which the corrections of its travel stay, so that the search ends."""
 
@@ -169,6 +173,7 @@ def _step(
     after, bend_now, thinning_now = w, bend, thinning
     implicit, correction = 0.0 * u, 0.0 * u
     low, high, last = 0.0, 0.0, 0.0
+    least = ALMOST_STEADY * creep_speed * dt
     for attempt in range(100):
         thinning_now = _thinning(u_now, c)
         square = u_now * u_now + creep
@@ -176,7 +181,9 @@ def _step(
         resistance = c.series_viscous + c.viscous * (thinning_now + thinning_slope * u_now)
         change = u_now - u
         rise = (c.series_viscous + c.viscous * thinning_now) * u_now - drive
-        if abs(change.real) > ALMOST_STEADY * max(abs(u_now.real), creep_speed.real):
+        # S rises at least as steeply as c1 u, which a state that was moved along its derivatives may contradict.
+        rises = change.real * rise.real > c.series_viscous.real * change.real * change.real
+        if rises and abs(change.real) > ALMOST_STEADY * max(abs(u_now.real), creep_speed.real):
             per_rise = 1.0 / rise
             mobility = change * per_rise
             area = 0.5 * c.series_viscous * (u_now * u_now) + energy * thinning_now * square - integral - drive * change
@@ -185,7 +192,8 @@ def _step(
         else:
             mobility, lag, lag_slope = 1.0 / resistance, 0.5 * change, 0.5 + 0.0 * u
         if attempt >= RENEWALS:
-            d = dt * (u_now - (1.0 - implicit) * lag) + correction
+            linear = dt * (u_now - (1.0 - implicit) * lag)
+            d = linear + _bounded(correction, linear, least)
         direction = 1.0 if d.real >= 0.0 else -1.0
         if direction * w.real >= 1.0:
             after, bend_now = w, 0.0 * bend
@@ -200,10 +208,13 @@ def _step(
             softening = steepest * (bend - bend_now) * u
             correction = mobility * (c.series_viscous * excess - share * dt * dt * (1.0 / 12.0) * softening)
         # Newton's method for speed and travel together: so far, d is a guess of the travel that belongs to u_now.
-        missing = dt * (u_now - (1.0 - implicit) * lag) + correction - d
+        linear = dt * (u_now - (1.0 - implicit) * lag)
+        d_slope = dt * (1.0 - (1.0 - implicit) * lag_slope)
+        if abs(correction.real) > MOST_CORRECTED * abs(linear.real) + least.real:
+            d_slope = d_slope * (1.0 + (MOST_CORRECTED if correction.real * linear.real > 0.0 else -MOST_CORRECTED))
+        missing = linear + _bounded(correction, linear, least) - d
         d = d + missing
         after = after + bend_now * missing * per_yield
-        d_slope = dt * (1.0 - (1.0 - implicit) * lag_slope)
         balance = rise + c.yield_force * (after - w) + c.stiffness * d + unbalanced
         step = -balance / (resistance + (c.stiffness + steepest * bend_now) * d_slope)
         d_step = d_slope * step
@@ -228,6 +239,13 @@ def _step(
             low = u_now.real
         u_now, last = next_iterate(u_now, step, low, high, last)
     return d, after, u_now, thinning_now, bend_now
+
+
+@njit(cache=True, nogil=True)
+def _bounded(correction: Any, linear: Any, least: Any) -> Any:
+    """Return the correction of a travel with a linear drive: `MOST_CORRECTED` of that and the ``least`` travel at most."""
+    most = MOST_CORRECTED * (linear if linear.real >= 0.0 else -linear) + least
+    return correction if abs(correction.real) <= most.real else most if correction.real > 0.0 else -most
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
