@@ -25,8 +25,8 @@ MOST_IN_SERIES = 5
 MOST_PARAMETERS = 5
 """Parameters of such an element."""
 TOLERANCE = 1e-5
-"""Of Newton's last step, as a share of the force, and of the damper's speed by the change of speed that it means. The error
-that it leaves is of the order of its square."""
+"""Largest last step of Newton's method, as a share of the force. The change of the damper's speed that goes with it has to
+be as small a share of that speed. Where the force is smooth, the error that is left is of the order of the step's square."""
 LEAST_FORCE, LEAST_SPEED = 1e-6, 1e-9
 """N and m/s, below which a step has converged whatever its share."""
 SHORTEST_STEP = 1e-9

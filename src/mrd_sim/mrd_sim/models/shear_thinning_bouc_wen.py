@@ -39,9 +39,9 @@ ALMOST_STEADY = 1e-3
 difference would be rounding. Slower elements are not followed through a reversal either. Where nearly nothing moves,
 derivatives would enlarge both errors without limit."""
 MOST_CORRECTED = 0.5
-"""Share of the travel with a linear drive by which it is corrected at most: that of a speed that rises from zero with the
-cube of time. Where speeds and travel of the rod agree less, as beside a compliance that jumps, the element would move
-against its speed at both ends, and a step would have two solutions."""
+"""Largest correction, as a share of the travel with a linear drive. A speed that rises from zero with the cube of time needs
+this much. With more, as beside a compliance that jumps, the element would move against its speed at both ends, and a step
+would have two solutions. Where the rod's own speeds leave out most of its travel, it may be larger (`_left_out`)."""
 RENEWALS = 3
 """Attempts to solve a step after which the corrections of its travel stay, so that the search ends."""
 
@@ -81,7 +81,8 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
             x_before, v_before, yield_travel = x[k], v[k], c.yield_travel
         travel, per_yield = x[k] - x_before, 2.0 / (yield_travel + c.yield_travel)
         excess = travel - 0.5 * dt[k] * (v_before + v[k])
-        d, w_now, u_now, thinning_now, bend_now = _step(w, e, u, thinning, bend, dt[k], excess, v[k], per_yield, c)
+        hidden = _left_out(excess, travel)
+        d, w_now, u_now, thinning_now, bend_now = _step(w, e, u, thinning, bend, dt[k], excess, hidden, v[k], per_yield, c)
         least = ALMOST_STEADY * CREEP * c.reference_speed.real
         if u.real * u_now.real < 0.0 and max(abs(u.real), abs(u_now.real)) > least:
             drive = (c.series_viscous + c.viscous * thinning) * u
@@ -133,14 +134,15 @@ def _step_with_reversal(
         if i == 1:
             part, way, v, v_turn = left, travel - way, v_turn, v_now
         excess = way - 0.5 * part * dt * (v + v_turn)
-        d, w, u, thinning, bend = _step(w, e + total, u, thinning, bend, part * dt, excess, v_turn, per_yield, c)
+        hidden = _left_out(excess, way)
+        d, w, u, thinning, bend = _step(w, e + total, u, thinning, bend, part * dt, excess, hidden, v_turn, per_yield, c)
         total += d
     return total, w, u, thinning, bend
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _step(
-    w: Any, e: Any, u: Any, thinning: Any, bend: Any, dt: Any, excess: Any, v_now: Any, per_yield: Any, c: Row
+    w: Any, e: Any, u: Any, thinning: Any, bend: Any, dt: Any, excess: Any, hidden: Any, v_now: Any, per_yield: Any, c: Row
 ) -> tuple[Any, Any, Any, Any, Any]:
     """Return the travel of the element over one step without reversal, and its w, u, thinning and bend afterwards.
 
@@ -156,6 +158,8 @@ def _step(
         s.
     excess : float
         Travel of the rod in m less that with the mean of its speeds at both ends.
+    hidden : float
+        `_left_out` of the two.
     v_now : float
         Speed of the rod in m/s after the step.
     per_yield : float
@@ -173,7 +177,7 @@ def _step(
     after, bend_now, thinning_now = w, bend, thinning
     implicit, correction = 0.0 * u, 0.0 * u
     low, high, last = 0.0, 0.0, 0.0
-    least = ALMOST_STEADY * creep_speed * dt
+    least = ALMOST_STEADY * creep_speed * dt + hidden
     for attempt in range(100):
         thinning_now = _thinning(u_now, c)
         square = u_now * u_now + creep
@@ -242,8 +246,15 @@ def _step(
 
 
 @njit(cache=True, nogil=True)
+def _left_out(excess: Any, travel: Any) -> Any:
+    """Return the travel of the rod that its speeds at both ends leave out by more than half: all where it rests at both."""
+    left_out = 2.0 * (excess if excess.real >= 0.0 else -excess) - (travel if travel.real >= 0.0 else -travel)
+    return left_out if left_out.real > 0.0 else 0.0 * travel
+
+
+@njit(cache=True, nogil=True)
 def _bounded(correction: Any, linear: Any, least: Any) -> Any:
-    """Return the correction of a travel with a linear drive: `MOST_CORRECTED` of that and the ``least`` travel at most."""
+    """Return the correction of a travel with a linear drive: `MOST_CORRECTED` of that and ``least`` at most."""
     most = MOST_CORRECTED * (linear if linear.real >= 0.0 else -linear) + least
     return correction if abs(correction.real) <= most.real else most if correction.real > 0.0 else -most
 
