@@ -456,7 +456,7 @@ def one_step(state, coefficients, step, x, v):
     return force[0], after
 
 
-def test_a_step_has_one_solution_where_speeds_and_travel_of_the_rod_disagree():
+def test_the_force_of_a_step_does_not_jump_where_speeds_and_travel_of_the_rod_disagree():
     """A compliance in series gives way within a step by more than its speeds at both ends tell; the force jumped by 90 N."""
     state = [-0.9152, -3.03913e-3, 7.40562e-4, 2.983997, 1.531495, -6.814126e-4, -8.296511e-3, 1.52516e-6]
     coefficients = [602.350094, 1.5251628e-6, 0.81727, 2.0, 4342.499, 0.776725, 0.1, 60039.9617, 299.66, 0.0, 119.57]
@@ -470,19 +470,8 @@ def test_a_step_has_one_solution_where_speeds_and_travel_of_the_rod_disagree():
 def test_a_state_that_was_moved_along_its_derivatives_leads_to_no_wild_step():
     """Its speed and its thinning disagree by 14 %; the element then had travelled by a metre."""
     state = [-0.26056159, 7.3228073e-4, 6.1757853e-5, 6.803938307, 0.93210766, 5.02529736e-5, -1.673170136e-3, 8.0197054e-6]
-    coefficients = [
-        369.12252,
-        8.0197054e-6,
-        0.5,
-        2.0,
-        2806.61987,
-        0.73557879,
-        0.1,
-        55038.26181,
-        285.81687,
-        235.0756,
-        119.901159,
-    ]
+    coefficients = [369.12252, 8.0197054e-6, 0.5, 2.0, 2806.61987, 0.73557879, 0.1, 55038.26181, 285.81687, 235.0756]
+    coefficients += [119.901159]
     for speed in np.linspace(-2e-3, -1e-3, 1001):
         _, after = one_step(state, coefficients, 2.49899e-3, 4.5724e-5, speed)
         assert abs(after[1] - state[1]) < 1e-5

@@ -18,7 +18,7 @@ from typing import Any
 
 from numba import njit
 
-from mrd_sim.dual import power
+from mrd_sim.dual import absolute, at_least, clip, power
 from mrd_sim.hysteresis import advance, slope
 from mrd_sim.models import modified_bouc_wen
 from mrd_sim.models.bouc_wen import observables
@@ -41,7 +41,7 @@ derivatives would enlarge both errors without limit."""
 MOST_CORRECTED = 0.5
 """Largest correction, as a share of the travel with a linear drive. A speed that rises from zero with the cube of time needs
 this much. With more, as beside a compliance that jumps, the element would move against its speed at both ends, and a step
-would have two solutions. Where the rod's own speeds leave out most of its travel, it may be larger (`_left_out`)."""
+would have two solutions. It may be larger where the rod's speeds at both ends leave out more than half of its travel."""
 RENEWALS = 3
 """Attempts to solve a step after which the corrections of its travel stay, so that the search ends."""
 
@@ -80,9 +80,7 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
             thinning = _thinning(u, c)
             x_before, v_before, yield_travel = x[k], v[k], c.yield_travel
         travel, per_yield = x[k] - x_before, 2.0 / (yield_travel + c.yield_travel)
-        excess = travel - 0.5 * dt[k] * (v_before + v[k])
-        hidden = _left_out(excess, travel)
-        d, w_now, u_now, thinning_now, bend_now = _step(w, e, u, thinning, bend, dt[k], excess, hidden, v[k], per_yield, c)
+        d, w_now, u_now, thinning_now, bend_now = _step(w, e, u, thinning, bend, dt[k], travel, v_before, v[k], per_yield, c)
         least = ALMOST_STEADY * CREEP * c.reference_speed.real
         if u.real * u_now.real < 0.0 and max(abs(u.real), abs(u_now.real)) > least:
             drive = (c.series_viscous + c.viscous * thinning) * u
@@ -133,16 +131,14 @@ def _step_with_reversal(
     for i in range(2):  # one call in the code, because the compiler copies what is called
         if i == 1:
             part, way, v, v_turn = left, travel - way, v_turn, v_now
-        excess = way - 0.5 * part * dt * (v + v_turn)
-        hidden = _left_out(excess, way)
-        d, w, u, thinning, bend = _step(w, e + total, u, thinning, bend, part * dt, excess, hidden, v_turn, per_yield, c)
+        d, w, u, thinning, bend = _step(w, e + total, u, thinning, bend, part * dt, way, v, v_turn, per_yield, c)
         total += d
     return total, w, u, thinning, bend
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _step(
-    w: Any, e: Any, u: Any, thinning: Any, bend: Any, dt: Any, excess: Any, hidden: Any, v_now: Any, per_yield: Any, c: Row
+    w: Any, e: Any, u: Any, thinning: Any, bend: Any, dt: Any, travel: Any, v: Any, v_now: Any, per_yield: Any, c: Row
 ) -> tuple[Any, Any, Any, Any, Any]:
     """Return the travel of the element over one step without reversal, and its w, u, thinning and bend afterwards.
 
@@ -156,12 +152,10 @@ def _step(
         units of the yield travel.
     dt : float
         s.
-    excess : float
-        Travel of the rod in m less that with the mean of its speeds at both ends.
-    hidden : float
-        `_left_out` of the two.
-    v_now : float
-        Speed of the rod in m/s after the step.
+    travel : float
+        Travel of the rod in m.
+    v, v_now : float
+        Speeds of the rod in m/s before and after the step.
     per_yield : float
         Inverse of the yield travel during the step, in 1/m.
     """
@@ -177,7 +171,8 @@ def _step(
     after, bend_now, thinning_now = w, bend, thinning
     implicit, correction = 0.0 * u, 0.0 * u
     low, high, last = 0.0, 0.0, 0.0
-    least = ALMOST_STEADY * creep_speed * dt + hidden
+    excess = travel - 0.5 * dt * (v + v_now)
+    always_corrected = ALMOST_STEADY * creep_speed * dt + at_least(0.0, 2.0 * absolute(excess) - absolute(travel))
     for attempt in range(100):
         thinning_now = _thinning(u_now, c)
         square = u_now * u_now + creep
@@ -197,7 +192,8 @@ def _step(
             mobility, lag, lag_slope = 1.0 / resistance, 0.5 * change, 0.5 + 0.0 * u
         if attempt >= RENEWALS:
             linear = dt * (u_now - (1.0 - implicit) * lag)
-            d = linear + _bounded(correction, linear, least)
+            most = MOST_CORRECTED * absolute(linear) + always_corrected
+            d = linear + clip(correction, -most, most)
         direction = 1.0 if d.real >= 0.0 else -1.0
         if direction * w.real >= 1.0:
             after, bend_now = w, 0.0 * bend
@@ -214,9 +210,10 @@ def _step(
         # Newton's method for speed and travel together: so far, d is a guess of the travel that belongs to u_now.
         linear = dt * (u_now - (1.0 - implicit) * lag)
         d_slope = dt * (1.0 - (1.0 - implicit) * lag_slope)
-        if abs(correction.real) > MOST_CORRECTED * abs(linear.real) + least.real:
+        most = MOST_CORRECTED * absolute(linear) + always_corrected
+        if abs(correction.real) > most.real:
             d_slope = d_slope * (1.0 + (MOST_CORRECTED if correction.real * linear.real > 0.0 else -MOST_CORRECTED))
-        missing = linear + _bounded(correction, linear, least) - d
+        missing = linear + clip(correction, -most, most) - d
         d = d + missing
         after = after + bend_now * missing * per_yield
         balance = rise + c.yield_force * (after - w) + c.stiffness * d + unbalanced
@@ -243,20 +240,6 @@ def _step(
             low = u_now.real
         u_now, last = next_iterate(u_now, step, low, high, last)
     return d, after, u_now, thinning_now, bend_now
-
-
-@njit(cache=True, nogil=True)
-def _left_out(excess: Any, travel: Any) -> Any:
-    """Return the travel of the rod that its speeds at both ends leave out by more than half: all where it rests at both."""
-    left_out = 2.0 * (excess if excess.real >= 0.0 else -excess) - (travel if travel.real >= 0.0 else -travel)
-    return left_out if left_out.real > 0.0 else 0.0 * travel
-
-
-@njit(cache=True, nogil=True)
-def _bounded(correction: Any, linear: Any, least: Any) -> Any:
-    """Return the correction of a travel with a linear drive: `MOST_CORRECTED` of that and ``least`` at most."""
-    most = MOST_CORRECTED * (linear if linear.real >= 0.0 else -linear) + least
-    return correction if abs(correction.real) <= most.real else most if correction.real > 0.0 else -most
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
