@@ -16,6 +16,7 @@ from mrd_base import BenchClock
 from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.config import SupervisorConfig
 from mrd_bench_driver.supervision.errors import CancelledError, RefusedError, TrippedError
+from mrd_bench_driver.supervision.interlocks import Tolerances
 from mrd_bench_driver.supervision.modes import BenchMode, Mode
 from mrd_bench_driver.supervision.operations import BenchOperations
 from mrd_bench_driver.supervision.supervisor import Supervisor
@@ -38,8 +39,11 @@ class FakePeers:
         self.temperature = 300.0
         self.modes: list[tuple[Mode, str]] = []
         self.emergency_stops: list[bool] = []
-        timeouts = {"answer_timeout": 0.2, "discovery_timeout": 0.1, "late": 1.0, "stall": 1.0}
-        config = SupervisorConfig(**{**timeouts, **changes})  # type: ignore[arg-type]
+        # These tests share their machine with tests that compute, so that the thread that publishes may come late.
+        stale = Tolerances(samples_stale=1.0, servo_stale=1.0, setpoint_stale=0.5)
+        patience = {"late": 1.0, "stall": 1.0, "interlocks": stale}
+        timeouts = {"answer_timeout": 0.2, "discovery_timeout": 0.1}
+        config = SupervisorConfig(**{**timeouts, **patience, **changes})  # type: ignore[arg-type]
         self.supervisor = Supervisor(config, self.clock, self, self._on_mode, self._on_emergency_stop)
         self.publish()
 
