@@ -1,13 +1,16 @@
 """Classes of causes: what is named where recordings do not decide between effects that look alike."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from mrd_diagnosis import Cause, diagnose
 from mrd_diagnosis.decision.causes import level_of
 from mrd_diagnosis.diagnosis import Interval, Member
-from mrd_diagnosis.evidence.cause_class import class_name
+from mrd_diagnosis.evidence.cause_class import class_name, imitations
 from mrd_diagnosis.report.sentences import cause_clause
+from mrd_diagnosis.search.model_comparison import NO_EFFECT
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
 from mrd_sim.simulate import measure_plans
@@ -37,12 +40,37 @@ def test_one_sine_tells_that_something_gives_and_not_what():
     (cause,) = diagnosis.causes
     assert (diagnosis.verdict, cause.level) == ("ambiguous", "class")
     assert {member.effect for member in cause.members} == {"joint_play", "backlash"}
-    assert all(member.imitation > 0.9 for member in cause.members)
+    assert all(one.imitation > 0.9 for one in cause.members)
     assert cause.class_probability > 0.9
     assert diagnosis.sentence.startswith("Something between motor and damper gives")
     for member in cause.members:
         size = member.parameters[f"{member.effect}.play"].value.value
         assert size == pytest.approx(2e-4, rel=0.25)
+
+
+def refitted(error):
+    """Return a refit that leaves an error (n,)."""
+    problem = SimpleNamespace(counted=lambda error: error, errors=lambda error: error)
+    return SimpleNamespace(problem=problem, theta=np.asarray(error, dtype=float))
+
+
+def test_look_alikes_close_the_same_part_of_the_error_whatever_their_sizes():
+    """An end stop whose change was 2.6 times as large had no R² with the spring that stood beside it with 40 %."""
+    without = np.array([10.0, 0.0, 5.0, 1.0])
+    changes = {
+        "hardening_spring": [-8.0, 3.0, 0.0, 0.0],
+        "end_stop": [-24.0, -3.0, 0.0, 0.0],  # the same, 3 times as large and a little different
+        "gas_spring": [0.0, 0.0, -5.0, 0.0],  # closes another part
+        "backlash": [-8.0, 3.0, -5.0, 0.0],  # closes both
+        "moving_mass": [np.inf, 0.0, 0.0, 0.0],
+    }
+    refits = {NO_EFFECT: refitted(without)} | {name: refitted(without + change) for name, change in changes.items()}
+    shares = imitations("hardening_spring", refits)
+    assert shares["end_stop"] > 0.85
+    assert shares["gas_spring"] == pytest.approx(0.0)
+    assert 0.5 < shares["backlash"] < 0.9
+    assert imitations("backlash", refits)["gas_spring"] < 0.3
+    assert shares["moving_mass"] == 0.0
 
 
 def member(effect, probability):
