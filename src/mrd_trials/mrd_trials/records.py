@@ -167,6 +167,8 @@ class Submission:
         Held-out NRMSE.
     closed_fraction : tuple of three floats
     where : tuple of GapBin
+    has_place : bool or None
+        Whether the error is significantly larger in one of them than elsewhere; None where the diagnosis has no map.
     next_experiment : str
         Text of the recommended experiment; empty without one.
     parameters : mapping
@@ -193,6 +195,7 @@ class Submission:
     after: float = NAN
     closed_fraction: IntervalEnds = (NAN, NAN, NAN)
     where: tuple[GapBin, ...] = ()
+    has_place: bool | None = None
     next_experiment: str = ""
     parameters: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[str, ...] = ()

@@ -1,6 +1,7 @@
 """Run a trial: one submission of one diagnoser for each plant, failures included."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from mrd_base import InputError
@@ -54,7 +55,7 @@ def run_trial(
         comparisons that the method cannot make.
     """
     diagnoser = diagnoser or installed_diagnoser()
-    plants = {plant.plant: plant for plant in read_trial(folder).plants}
+    plants = {plant.plant: replace(plant, model=diagnoser.model or plant.model) for plant in read_trial(folder).plants}
     check_comparison(plants.values(), method)
     reserve_folder(diagnoser, output)
     read_verdicts(output / VERDICTS_FILE, plants.values())

@@ -39,19 +39,22 @@ class Diagnoser:
         SHA-256 of the sources of `DIAGNOSIS_PACKAGES`, and of the effects among them.
     seed : int
         Seed of every diagnosis.
+    model : str
+        Damper model around which every plant is diagnosed; empty where it is the one that the trial names.
     """
 
     version: str
     code: str
     catalogue: str
     seed: int
+    model: str = ""
 
 
-def installed_diagnoser(seed: int = 0) -> Diagnoser:
+def installed_diagnoser(seed: int = 0, model: str = "") -> Diagnoser:
     """Return the diagnoser that is installed here."""
     roots = {name: Path(_origin(name)).parent for name in DIAGNOSIS_PACKAGES}
     code, catalogue = _hash_sources(list(roots.values())), _hash_sources([roots["mrd_sim"] / "effects"])
-    return Diagnoser(VERSION, code, catalogue, seed)
+    return Diagnoser(VERSION, code, catalogue, seed, model)
 
 
 def reserve_folder(diagnoser: Diagnoser, output: Path) -> None:
@@ -160,6 +163,7 @@ def submission_of(plant: PublicPlant, diagnosis: Diagnosis) -> Submission:
         untestable=tuple(entry.effect for entry in diagnosis.untestable),
         nearest=diagnosis.nearest.effects if diagnosis.nearest else (),
         where=tuple(GapBin(region.axis, region.lower, region.upper, region.share.value) for region in diagnosis.where),
+        has_place=any(region.significant for region in diagnosis.where) if diagnosis.where else None,
         next_experiment=diagnosis.next_experiment.experiment if diagnosis.next_experiment else "",
         elapsed=diagnosis.elapsed,
         commitment=plant.commitment,

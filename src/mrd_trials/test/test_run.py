@@ -74,6 +74,20 @@ def test_an_interrupted_run_is_continued(trial, verdicts, tmp_path):
     assert (tmp_path / VERDICTS_FILE).read_text() == content
 
 
+def test_every_plant_is_diagnosed_around_a_model_that_is_asked_for(trial, tmp_path):
+    models = []
+
+    def method(runs, model, *, effects, bench, seed):
+        models.append(model)
+        raise ValueError("not diagnosed")
+
+    run_trial(trial, tmp_path / "own", DIAGNOSER, method=method)
+    run_trial(trial, tmp_path / "asked", replace(DIAGNOSER, model="sigmoid"), method=method)
+    assert models == ["bouc_wen", "bouc_wen", "sigmoid", "sigmoid"]
+    with pytest.raises(InputError, match="holds verdicts of another diagnoser"):
+        run_trial(trial, tmp_path / "asked", DIAGNOSER, method=method)
+
+
 def test_verdicts_of_another_diagnoser_are_kept(trial, tmp_path):
     (tmp_path / DIAGNOSER_FILE).write_text("{}")
     with pytest.raises(InputError, match="holds verdicts of another diagnoser"):

@@ -12,6 +12,7 @@ from scipy.stats import binomtest
 
 from mrd_base import InputError
 from mrd_trials.records import Evaluation, Explanation, GapBin, GroundTruth, Submission, WeighedEffect
+from mrd_trials.scoring.around_models import found_around_all
 from mrd_trials.scoring.classes import LOST
 from mrd_trials.scoring.gap import AxisOverlap, ExperimentComparison, overlaps
 from mrd_trials.scoring.goals import Goal
@@ -62,6 +63,49 @@ def explanation(entry):
 def score(answers, submissions, evaluations=()):
     by_plant = ({record.plant: record for record in records} for records in (answers, submissions, evaluations))
     return score_trial(*by_plant)
+
+
+# Places, and other models
+
+
+@pytest.mark.parametrize(
+    ("before", "has_place", "hits", "total"),
+    [(0.05, True, 1, 1), (0.05, False, 0, 1), (0.021, True, 0, 0), (0.05, None, 0, 0), (NAN, True, 0, 0)],
+)
+def test_a_large_gap_should_have_a_place(before, has_place, hits, total):
+    submission = submit("a", "unknown_effect", before=before, noise_floor=0.01, has_place=has_place)
+    rate = score([truth_of("a", "single", "backlash")], [submission]).by_excitation["rich"].places
+    assert (rate.hits, rate.total) == (hits, total)
+
+
+def test_a_cause_is_found_around_all_models_or_not():
+    answers = {
+        plant: truth_of(plant, kind, *causes)
+        for plant, kind, causes in (
+            ("a", "single", ["backlash"]),
+            ("b", "single", ["coil_lag"]),
+            ("c", "single", ["settling"]),
+            ("d", "null", []),
+            ("e", "single", ["mains_hum"]),
+        )
+    }
+    as_class = Explanation(("joint_play",), 0.5, NO_INTERVAL, level="class", members=("joint_play", "backlash"))
+    first = [
+        Submission("a", "ambiguous", causes=(as_class,)),
+        submit("b", "explained", ("coil_lag", 0.9)),
+        submit("c", "unknown_effect"),
+        submit("d", "no_gap"),
+        submit("e", "explained", ("mains_hum", 0.9)),
+    ]
+    second = [
+        submit("a", "explained", ("backlash", 0.9)),
+        submit("b", "unknown_effect"),
+        submit("c", "unknown_effect"),
+        submit("d", "no_gap"),
+    ]
+    by_model = [{entry.plant: entry for entry in entries} for entries in (first, second)]
+    rate = found_around_all(answers, by_model)
+    assert (rate.hits, rate.total) == (1, 2)  # nobody found that of c, and e has no second verdict
 
 
 # Clopper-Pearson

@@ -5,6 +5,7 @@ from collections import Counter
 from pathlib import Path
 
 from mrd_base import run_tool
+from mrd_sim.models import find_model
 from mrd_trials.cli.options import add_trial, add_workers, checked_workers, progress_bar
 from mrd_trials.run import run_trial
 from mrd_trials.submission import installed_diagnoser
@@ -23,6 +24,12 @@ def work() -> None:
     add_trial(parser)
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder for the verdicts")
     parser.add_argument("--seed", type=int, default=0, help="seed of every diagnosis (default %(default)s)")
+    parser.add_argument(
+        "--model",
+        default="",
+        metavar="MODEL",
+        help="damper model of every diagnosis (default: the one that the trial names)",
+    )
     parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="work on the dask cluster of this scheduler")
     add_workers(parser)
     arguments = parser.parse_args()
@@ -30,7 +37,7 @@ def work() -> None:
         submissions = run_trial(
             arguments.trial,
             arguments.output,
-            installed_diagnoser(arguments.seed),
+            installed_diagnoser(arguments.seed, find_model(arguments.model).id if arguments.model else ""),
             workers=checked_workers(arguments),
             scheduler=arguments.scheduler,
             progress=show,

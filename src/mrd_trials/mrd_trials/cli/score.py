@@ -12,9 +12,10 @@ from mrd_base.console import print_table
 from mrd_trials.cli.options import add_answers, add_trial, add_workers, checked_workers, progress_bar, read_answers
 from mrd_trials.evaluate import evaluate_trial
 from mrd_trials.run import VERDICTS_FILE, read_verdicts
+from mrd_trials.scoring.around_models import found_around_all
 from mrd_trials.scoring.report import write_score_report
 from mrd_trials.scoring.score import score_trial
-from mrd_trials.scoring.tables import Table, markdown_tables, tabulate
+from mrd_trials.scoring.tables import Table, markdown_tables, tabulate, text
 from mrd_trials.trial_folder import read_trial
 
 
@@ -33,9 +34,20 @@ def work() -> None:
     parser.add_argument("verdicts", type=Path, metavar="DIR", help="folder that run wrote; the score is written into it too")
     add_answers(parser)
     add_workers(parser)
+    parser.add_argument(
+        "--around",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="DIR",
+        help="folders that run --model wrote: how many causes are found around each of these models",
+    )
     parser.add_argument("--markdown", action="store_true", help="print the tables in Markdown")
     arguments = parser.parse_args()
-    submissions = read_verdicts(arguments.verdicts / VERDICTS_FILE, read_trial(arguments.trial).plants)
+    plants = read_trial(arguments.trial).plants
+    submissions, *around = (
+        read_verdicts(folder / VERDICTS_FILE, plants) for folder in (arguments.verdicts, *arguments.around)
+    )
     if not submissions:
         raise InputError(
             f"{arguments.verdicts}: holds no verdicts, so the answers stay sealed; name the folder that run wrote"
@@ -50,6 +62,9 @@ def work() -> None:
         print(markdown_tables(score))
     else:
         _print(tabulate(score))
+    if around:
+        rate = text(found_around_all(answers, around))
+        print(f"Causes that are named around one of {len(around)} models, by themselves or in a class: around all, {rate}")
     print(write_score_report(score, arguments.verdicts))
 
 

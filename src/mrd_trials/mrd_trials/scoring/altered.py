@@ -12,6 +12,7 @@ import numpy as np
 
 from mrd_trials.excitation import BEFORE_AFTER
 from mrd_trials.scoring.classes import ClassRates
+from mrd_trials.scoring.gap import places_found
 from mrd_trials.scoring.plant_result import PlantResult, PlantResults, select
 from mrd_trials.scoring.rates import Calibration, Distribution, Rate, calibration
 
@@ -71,6 +72,8 @@ class AlteredScore:
         Share of the added error that is closed on fresh runs, beyond what is closed without it; the oracle closes 1.
     by_strength, by_effect : mapping
         Plants with one effect whose cause is named; by effect, the detectable ones.
+    places : Rate
+        Diagnoses of a large gap with a significant place.
     classes : ClassRates
         The same by classes, beyond the background: of plants with effects whose cause does not belong to it.
     """
@@ -88,6 +91,7 @@ class AlteredScore:
     closed: Distribution
     by_strength: Mapping[str, Rate]
     by_effect: Mapping[str, Rate]
+    places: Rate
     classes: ClassRates
 
     @classmethod
@@ -119,6 +123,7 @@ class AlteredScore:
             ),
             by_strength=_named_by(singles, lambda entry: entry.result.truth.stratum),
             by_effect=_named_by(detectable, lambda entry: entry.result.truth.causes[0]),
+            places=places_found(results),
             classes=ClassRates.from_results(
                 [entry.result for entry in counted], {entry.result.truth.plant: entry.background for entry in counted}
             ),

@@ -58,6 +58,22 @@ class MapAgreement:
         )
 
 
+LARGE_GAP = 5.0
+"""Squared error beyond noise, over that of noise, from which a diagnosis should say where the gap lies."""
+
+
+def places_found(results: PlantResults) -> Rate:
+    """Return the share of diagnoses with a significant place, of those whose gap is large (`LARGE_GAP`)."""
+    submissions = [result.submission for result in results if result.submission.has_place is not None]
+    return Rate.from_outcomes(
+        [
+            bool(submission.has_place)
+            for submission in submissions
+            if submission.before**2 - submission.noise_floor**2 >= LARGE_GAP * submission.noise_floor**2
+        ]
+    )
+
+
 @dataclass(frozen=True)
 class AxisOverlap:
     """Agreement of two maps on one axis.

@@ -9,7 +9,7 @@ from mrd_trials.records import Evaluation, GroundTruth, Submission
 from mrd_trials.scoring.altered import AlteredScore
 from mrd_trials.scoring.certainty import calibration_of, claims_of_causes, claims_of_first_candidates, coverage_by_effect
 from mrd_trials.scoring.classes import ClassRates
-from mrd_trials.scoring.gap import ExperimentComparison, MapAgreement, fresh_differences, relative_closures
+from mrd_trials.scoring.gap import ExperimentComparison, MapAgreement, fresh_differences, places_found, relative_closures
 from mrd_trials.scoring.goals import Goal
 from mrd_trials.scoring.naming import (
     CandidateSetRates,
@@ -46,6 +46,8 @@ class ExcitationScore:
     fresh_difference : Distribution
         Distance between the submitted share of the gap closed and that on fresh runs.
     maps : MapAgreement
+    places : Rate
+        Diagnoses of a large gap with a significant place.
     experiments : ExperimentComparison
     candidate_sets : CandidateSetRates
     classes : ClassRates
@@ -64,6 +66,7 @@ class ExcitationScore:
     relative_closure: Distribution
     fresh_difference: Distribution
     maps: MapAgreement
+    places: Rate
     experiments: ExperimentComparison
     candidate_sets: CandidateSetRates
     classes: ClassRates
@@ -90,6 +93,7 @@ class ExcitationScore:
             relative_closure=relative_closures(results),
             fresh_difference=fresh_differences(results),
             maps=MapAgreement.from_results(results),
+            places=places_found(results),
             experiments=ExperimentComparison.from_results(results),
             candidate_sets=CandidateSetRates.from_results(detectable),
             classes=ClassRates.from_results(results),

@@ -1,0 +1,31 @@
+"""Whether diagnoses of the same plants around several damper models find the same causes."""
+
+from collections.abc import Mapping, Sequence
+
+from mrd_trials.records import GroundTruth, Submission
+from mrd_trials.scoring.classes import members_of
+from mrd_trials.scoring.rates import Rate
+from mrd_trials.trial_design import is_detectable
+
+
+def found_around_all(answers: Mapping[str, GroundTruth], by_model: Sequence[Mapping[str, Submission]]) -> Rate:
+    """Return the share of detectable causes that are in a class that is named around every model, of those around any.
+
+    Counted are plants with one effect that have a verdict around each model.
+
+    Parameters
+    ----------
+    answers : mapping
+        By plant.
+    by_model : sequence of mapping
+        Submissions by plant, around one model after the other.
+    """
+    outcomes = []
+    for plant, truth in answers.items():
+        submissions = [of_model[plant] for of_model in by_model if plant in of_model]
+        if truth.kind != "single" or not is_detectable(truth) or len(submissions) < len(by_model):
+            continue
+        found = [any(truth.causes[0] in members_of(claim) for claim in entry.causes) for entry in submissions]
+        if any(found):
+            outcomes.append(all(found))
+    return Rate.from_outcomes(outcomes)
