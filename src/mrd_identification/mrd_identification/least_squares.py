@@ -54,6 +54,8 @@ def fit_least_squares(problem: Problem, theta: Array, max_evaluations: int = 100
     return problem.theta(unit), cost
 
 
+# A trial that diverges, as a damper of negative viscosity does behind a spring, costs too much: that is no news.
+@np.errstate(over="ignore", invalid="ignore")
 def levenberg_marquardt(
     problem: Problem,
     unit: Array,

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy.signal import lfilter, sawtooth
 
 from mrd_identification import identify
 from mrd_identification.fit_warnings import fit_warnings
-from mrd_identification.least_squares import fit_least_squares
+from mrd_identification.least_squares import fit_least_squares, levenberg_marquardt
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording, prepare_recording
 from mrd_identification.residual_correlation import correlation_length
@@ -131,6 +132,20 @@ def test_the_search_finds_the_optimum_that_least_squares_alone_misses(name, seed
     fit = identify([run], name, profile=False)
     assert fit.pooled_fitted.nrmse < 1e-4
     assert fit.theta == pytest.approx(theta, rel=0.01)
+
+
+def test_a_trial_that_diverges_costs_too_much_without_a_word():
+    """Residuals whose squares overflow printed a warning of NumPy."""
+    problem = SimpleNamespace(
+        loss="linear",
+        theta=lambda unit: unit,
+        residuals=lambda unit: np.full(9, 1e-3 if unit[0] < 0.5 else 1e200) + unit[0] - 0.9,
+        robust_weights=np.ones_like,
+        jacobian=lambda unit, moving: np.ones((9, 1)),
+    )
+    unit, cost = levenberg_marquardt(problem, np.array([0.1]), np.arange(1), 20)
+    assert 0.1 < unit[0] < 0.5
+    assert np.isfinite(cost)
 
 
 @pytest.mark.parametrize("loss", ["linear", "huber", "soft_l1"])
