@@ -2,8 +2,7 @@
 
 Every effect here can be added to a recording without a model of the damper, by these assumptions: the force less its mean
 is the fluid's; what is parallel to the damper adds a force that follows from the measured motion; what is in series adds an
-elongation that follows from the measured force; a sensor changes what it reads. The drive crosses a play at the speed that
-it has there, while the rod waits.
+elongation that follows from the measured force; a sensor changes what it reads.
 """
 
 from collections.abc import Mapping, Sequence
@@ -74,9 +73,6 @@ ALTERATIONS = (
 )
 """Effects that can be put into a recording; the others need the force of the damper at another current or motion."""
 
-LEAST_CROSSING_SPEED = 0.05
-"""Speed at which a play is crossed at least, over the root mean square of that of the rod."""
-
 
 @dataclass(frozen=True)
 class MeasuredRun:
@@ -135,15 +131,10 @@ def alter(
         motion = run.position, run.velocity, run.acceleration
         force = _force_on_cell(p, run.position, run.velocity, run.current, run.force - preload, step, slow) + preload
         force += inertia_force(p, *motion, step)
-        play, others = _elongations(p, force, step)
-        waits = _waits(run, play)
-        position, current, force = (
-            np.interp(run.time, run.time + waits, series) for series in (run.position + play + others, run.current, force)
-        )
-        position = _shown_by_encoder(p, position)
-        force = force_channel(p, force, position, current, clock, run.time, step)
+        position = _shown_by_encoder(p, run.position + _elongations(p, force, step))
+        force = force_channel(p, force, position, run.current, clock, run.time, step)
         force = force + hum(p, run.time, rng.random())
-        current = current_reading(p, clock + run.time, current)
+        current = current_reading(p, clock + run.time, run.current)
         altered.append((transducer_reading(p, sticking_reading(p, position)), current, force))
         clock += run.time[-1] + REST
         store_heat(p, slow[: FLUID_HEAT + 1], 0.0, REST)
@@ -182,28 +173,17 @@ def _force_on_cell(
 
 
 @njit(nogil=True)
-def _elongations(p: PlantValues, force: Array, step: float) -> tuple[Array, Array]:
-    """Return by how much what is in series with the damper is longer under its force: what has play, and all else."""
-    play, elongation = np.empty_like(force), np.empty_like(force)
+def _elongations(p: PlantValues, force: Array, step: float) -> Array:
+    """Return by how much everything in series with the damper is longer under its force."""
+    elongation = np.empty_like(force)
     side = 1.0 if force[0] > 0.0 else -1.0
     drive, joint = 0.5 * side * p.backlash_play, 0.5 * side * p.joint_play_play
     mount = series_elongation(p, 0.0, force[0], AT_REST)
     for i in range(len(force)):
         drive, joint = backlash_offset(p, drive, force[i], step), joint_offset(p, joint, force[i], step)
         mount = series_elongation(p, mount, force[i], step)
-        play[i], elongation[i] = drive + joint, mount + bubble_compression(p, force[i])
-    return play, elongation
-
-
-def _waits(run: MeasuredRun, play: Array) -> Array:
-    """Return by how much later in s (samples,) all that follows happens, because the drive crosses a play (samples,).
-
-    Without it, the recorded motion would jump by the play from one sample to the next, as that of no servo does.
-    """
-    speed = np.abs(run.velocity)
-    speed = np.maximum(speed, max(LEAST_CROSSING_SPEED * float(np.sqrt(np.mean(speed**2))), np.finfo(float).tiny))
-    crossed = np.abs(np.diff(play)) / (0.5 * (speed[1:] + speed[:-1]))
-    return np.concatenate([[0.0], np.cumsum(crossed)])
+        elongation[i] = drive + joint + mount + bubble_compression(p, force[i])
+    return elongation
 
 
 def _shown_by_encoder(p: PlantValues, rod: Array) -> Array:
