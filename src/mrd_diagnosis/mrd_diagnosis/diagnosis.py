@@ -160,7 +160,7 @@ class Member:
     effect : str
     probability : float
     imitation : float
-        Share that the most probable effect and this one, fitted in its place, close alike of what either closes.
+        Share (R²) of what the most probable effect changes that this one, fitted in its place, changes alike.
     parameters : mapping
         Its parameters, fitted in that place.
     """

@@ -95,8 +95,8 @@ class Thresholds:
     )
     least_imitation: float = threshold(
         0.5,
-        "of what either effect closes",
-        "share that another effect, fitted in its place, closes alike, from which the two may belong to one class",
+        "of what an effect changes",
+        "share that another effect, fitted in its place, changes alike, from which the two may belong to one class",
         "convention",
     )
     least_information: float = threshold(

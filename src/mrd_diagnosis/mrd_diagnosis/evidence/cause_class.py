@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from mrd_diagnosis.diagnosis import Member
 from mrd_diagnosis.fitting.refit import Refit
 from mrd_diagnosis.fitting.statistics import effect_parameters
-from mrd_diagnosis.fitting.weighting import sum_of_squares
 from mrd_diagnosis.search.model_comparison import NO_EFFECT
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_sim.effects import EFFECTS
@@ -53,12 +52,11 @@ def class_of(effect: str, refits: Mapping[str, Refit], probabilities: Mapping[st
 
 
 def imitations(effect: str, refits: Mapping[str, Refit]) -> dict[str, float]:
-    """Return the share that others, each fitted in the place of an effect, close alike of what the effect closes or they do,
-    whichever is more, by name.
+    """Return the share (R²) of what an effect changes that others change alike, each fitted in its place, by name.
 
-    What counts of each is the direction in which it changes the white error, the model's own parameters fitted with it. What
-    both close is what either does by itself, less what they do together. Sizes do not count: where no formula is exact, one
-    of two look-alikes may be fitted much larger than the other.
+    The changes are those of the white error, the model's own parameters fitted with each effect. Their sizes do not count:
+    where no formula is exact, one of two look-alikes may be fitted much larger than the other. So R² is the squared cosine
+    of the angle between both changes, and 0 where they are opposite.
     """
     if NO_EFFECT not in refits:
         return {}
@@ -68,28 +66,18 @@ def imitations(effect: str, refits: Mapping[str, Refit]) -> dict[str, float]:
         return common.counted(refitted.problem.errors(refitted.theta))
 
     without = white(refits[NO_EFFECT])
-    change = white(refits[effect]) - without
-    if not np.isfinite(change).all():
-        return {}
-    closed = _explained(without, [change])
-    if not 0.0 < closed < np.inf:
-        return {}
 
-    def share(other: Array) -> float:
-        if not np.isfinite(other).all():
-            return 0.0
-        closed_by_other = _explained(without, [other])
-        alike = closed + closed_by_other - _explained(without, [change, other])
-        return float(np.clip(np.nan_to_num(alike / max(closed, closed_by_other)), 0.0, 1.0))
+    def direction(name: str) -> Array:
+        """Return the change with its length taken out; zeros where there is none, or none that is finite."""
+        change = white(refits[name]) - without
+        largest = float(np.abs(change).max())
+        if not 0.0 < largest < np.inf:
+            return np.zeros_like(change)
+        scaled = change / largest
+        return np.asarray(scaled / np.linalg.norm(scaled))
 
-    others = [name for name in refits if name != effect and name in EFFECTS]
-    return {name: share(white(refits[name]) - without) for name in others}
-
-
-def _explained(error: Array, directions: Sequence[Array]) -> float:
-    """Return how much of the sum of squares of an error (n,) directions (n,) explain together."""
-    matrix = np.stack(directions, axis=1)
-    return sum_of_squares(matrix @ np.linalg.lstsq(matrix, error)[0])
+    of_effect = direction(effect)
+    return {name: max(float(of_effect @ direction(name)), 0.0) ** 2 for name in refits if name != effect and name in EFFECTS}
 
 
 def class_name(effects: Sequence[str]) -> str:
