@@ -2,6 +2,7 @@
 
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.diagnosis import Candidate, Cause, Diagnosis, Finding, Gap, Interval, Region
+from mrd_diagnosis.localisation.sentence import where_sentence
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.report.sentences import next_command
@@ -31,6 +32,7 @@ __all__ = [
     "read_gap_report",
     "trend",
     "validate",
+    "where_sentence",
     "write_gap_report",
     "write_validation",
 ]

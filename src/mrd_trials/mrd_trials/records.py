@@ -168,7 +168,7 @@ class Submission:
     closed_fraction : tuple of three floats
     where : tuple of GapBin
     has_place : bool or None
-        Whether the error is significantly larger in one of them than elsewhere; None where the diagnosis has no map.
+        Whether the diagnosis says in a sentence where the error lies; None where it has no map.
     next_experiment : str
         Text of the recommended experiment; empty without one.
     parameters : mapping

@@ -12,7 +12,7 @@ from typing import Any
 
 from mrd_base import InputError
 from mrd_base.version import VERSION
-from mrd_diagnosis import BEST_MODEL, Diagnosis, Interval, diagnose
+from mrd_diagnosis import BEST_MODEL, Diagnosis, Interval, diagnose, where_sentence
 from mrd_runs import Run
 from mrd_sim.simulators.recorded import RecordedSimulator
 from mrd_trials.excitation import BEFORE_AFTER, BLACK_BOX
@@ -74,6 +74,12 @@ def reserve_folder(diagnoser: Diagnoser, output: Path) -> None:
             "name another --output, or go back to that version"
         )
     path.write_text(text, encoding="utf-8")
+
+
+def model_of_verdicts(output: Path) -> str:
+    """Return the damper model around which all verdicts of a folder are; empty where it is the one that the trial names."""
+    path = output / DIAGNOSER_FILE
+    return str(json.loads(path.read_text(encoding="utf-8")).get("model", "")) if path.exists() else ""
 
 
 def diagnose_plant(
@@ -163,7 +169,7 @@ def submission_of(plant: PublicPlant, diagnosis: Diagnosis) -> Submission:
         untestable=tuple(entry.effect for entry in diagnosis.untestable),
         nearest=diagnosis.nearest.effects if diagnosis.nearest else (),
         where=tuple(GapBin(region.axis, region.lower, region.upper, region.share.value) for region in diagnosis.where),
-        has_place=any(region.significant for region in diagnosis.where) if diagnosis.where else None,
+        has_place=bool(where_sentence(diagnosis)) if diagnosis.where else None,
         next_experiment=diagnosis.next_experiment.experiment if diagnosis.next_experiment else "",
         elapsed=diagnosis.elapsed,
         commitment=plant.commitment,

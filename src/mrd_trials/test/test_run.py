@@ -74,7 +74,7 @@ def test_an_interrupted_run_is_continued(trial, verdicts, tmp_path):
     assert (tmp_path / VERDICTS_FILE).read_text() == content
 
 
-def test_every_plant_is_diagnosed_around_a_model_that_is_asked_for(trial, tmp_path):
+def test_every_plant_is_diagnosed_around_a_model_that_is_asked_for(trial, tmp_path, monkeypatch):
     models = []
 
     def method(runs, model, *, effects, bench, seed):
@@ -86,6 +86,12 @@ def test_every_plant_is_diagnosed_around_a_model_that_is_asked_for(trial, tmp_pa
     assert models == ["bouc_wen", "bouc_wen", "sigmoid", "sigmoid"]
     with pytest.raises(InputError, match="holds verdicts of another diagnoser"):
         run_trial(trial, tmp_path / "asked", DIAGNOSER, method=method)
+    monkeypatch.setattr("sys.argv", ["score", str(trial), str(tmp_path / "asked")])
+    with pytest.raises(InputError, match=r"asked: holds verdicts around sigmoid, .*name such a folder after --around"):
+        work()
+    monkeypatch.setattr("sys.argv", ["score", str(trial), str(tmp_path / "own"), "--around", str(tmp_path / "nothing")])
+    with pytest.raises(InputError, match="nothing: holds no verdicts"):
+        work()
 
 
 def test_verdicts_of_another_diagnoser_are_kept(trial, tmp_path):

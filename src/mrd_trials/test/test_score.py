@@ -69,11 +69,19 @@ def score(answers, submissions, evaluations=()):
 
 
 @pytest.mark.parametrize(
-    ("before", "has_place", "hits", "total"),
-    [(0.05, True, 1, 1), (0.05, False, 0, 1), (0.021, True, 0, 0), (0.05, None, 0, 0), (NAN, True, 0, 0)],
+    ("verdict", "before", "has_place", "hits", "total"),
+    [
+        ("unknown_effect", 0.05, True, 1, 1),
+        ("unknown_effect", 0.05, False, 0, 1),
+        ("unknown_effect", 0.021, True, 0, 0),
+        ("unknown_effect", 0.05, None, 0, 0),
+        ("unknown_effect", NAN, True, 0, 0),
+        ("explained", 0.05, False, 0, 1),
+        ("partly_explained", 0.05, False, 0, 0),  # its map is that of what remains
+    ],
 )
-def test_a_large_gap_should_have_a_place(before, has_place, hits, total):
-    submission = submit("a", "unknown_effect", before=before, noise_floor=0.01, has_place=has_place)
+def test_a_large_error_should_have_a_place(verdict, before, has_place, hits, total):
+    submission = submit("a", verdict, before=before, after=0.02, noise_floor=0.01, has_place=has_place)
     rate = score([truth_of("a", "single", "backlash")], [submission]).by_excitation["rich"].places
     assert (rate.hits, rate.total) == (hits, total)
 
@@ -87,8 +95,10 @@ def test_a_cause_is_found_around_all_models_or_not():
             ("c", "single", ["settling"]),
             ("d", "null", []),
             ("e", "single", ["mains_hum"]),
+            ("f", "single", ["backlash"]),
         )
     }
+    answers["f"] = replace(answers["f"], excitation="black_box")
     as_class = Explanation(("joint_play",), 0.5, NO_INTERVAL, level="class", members=("joint_play", "backlash"))
     first = [
         Submission("a", "ambiguous", causes=(as_class,)),
@@ -96,16 +106,19 @@ def test_a_cause_is_found_around_all_models_or_not():
         submit("c", "unknown_effect"),
         submit("d", "no_gap"),
         submit("e", "explained", ("mains_hum", 0.9)),
+        submit("f", "explained", ("backlash", 0.9)),
     ]
     second = [
         submit("a", "explained", ("backlash", 0.9)),
         submit("b", "unknown_effect"),
         submit("c", "unknown_effect"),
         submit("d", "no_gap"),
+        submit("f", "explained", ("backlash", 0.9)),
     ]
     by_model = [{entry.plant: entry for entry in entries} for entries in (first, second)]
     rate = found_around_all(answers, by_model)
-    assert (rate.hits, rate.total) == (1, 2)  # nobody found that of c, and e has no second verdict
+    # Nobody found that of c, e has no second verdict, and a black box is diagnosed around no model.
+    assert (rate.hits, rate.total) == (1, 2)
 
 
 # Clopper-Pearson

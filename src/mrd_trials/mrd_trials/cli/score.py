@@ -11,12 +11,14 @@ from mrd_base import InputError, run_tool
 from mrd_base.console import print_table
 from mrd_trials.cli.options import add_answers, add_trial, add_workers, checked_workers, progress_bar, read_answers
 from mrd_trials.evaluate import evaluate_trial
+from mrd_trials.records import Submission
 from mrd_trials.run import VERDICTS_FILE, read_verdicts
 from mrd_trials.scoring.around_models import found_around_all
 from mrd_trials.scoring.report import write_score_report
 from mrd_trials.scoring.score import score_trial
 from mrd_trials.scoring.tables import Table, markdown_tables, tabulate, text
-from mrd_trials.trial_folder import read_trial
+from mrd_trials.submission import model_of_verdicts
+from mrd_trials.trial_folder import PublicPlant, read_trial
 
 
 def main() -> None:
@@ -44,14 +46,13 @@ def work() -> None:
     )
     parser.add_argument("--markdown", action="store_true", help="print the tables in Markdown")
     arguments = parser.parse_args()
-    plants = read_trial(arguments.trial).plants
-    submissions, *around = (
-        read_verdicts(folder / VERDICTS_FILE, plants) for folder in (arguments.verdicts, *arguments.around)
-    )
-    if not submissions:
+    if model := model_of_verdicts(arguments.verdicts):
         raise InputError(
-            f"{arguments.verdicts}: holds no verdicts, so the answers stay sealed; name the folder that run wrote"
+            f"{arguments.verdicts}: holds verdicts around {model}, expected those around the model that the trial names; "
+            "name such a folder after --around"
         )
+    plants = read_trial(arguments.trial).plants
+    submissions, *around = (_verdicts(folder, plants) for folder in (arguments.verdicts, *arguments.around))
     answers = read_answers(arguments)
     with progress_bar("evaluating") as show:
         evaluations = evaluate_trial(
@@ -66,6 +67,13 @@ def work() -> None:
         rate = text(found_around_all(answers, around))
         print(f"Causes that are named around one of {len(around)} models, by themselves or in a class: around all, {rate}")
     print(write_score_report(score, arguments.verdicts))
+
+
+def _verdicts(folder: Path, plants: Iterable[PublicPlant]) -> dict[str, Submission]:
+    verdicts = read_verdicts(folder / VERDICTS_FILE, plants)
+    if not verdicts:
+        raise InputError(f"{folder}: holds no verdicts, so the answers stay sealed; name the folder that run wrote")
+    return verdicts
 
 
 def _print(tables: Iterable[Table]) -> None:

@@ -73,7 +73,7 @@ class AlteredScore:
     by_strength, by_effect : mapping
         Plants with one effect whose cause is named; by effect, the detectable ones.
     places : Rate
-        Diagnoses of a large gap with a significant place.
+        Diagnoses that say where a large error lies.
     classes : ClassRates
         The same by classes, beyond the background: of plants with effects whose cause does not belong to it.
     """

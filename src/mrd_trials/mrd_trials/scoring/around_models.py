@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from mrd_trials.excitation import BLACK_BOX
 from mrd_trials.records import GroundTruth, Submission
 from mrd_trials.scoring.classes import members_of
 from mrd_trials.scoring.rates import Rate
@@ -11,7 +12,7 @@ from mrd_trials.trial_design import is_detectable
 def found_around_all(answers: Mapping[str, GroundTruth], by_model: Sequence[Mapping[str, Submission]]) -> Rate:
     """Return the share of detectable causes that are in a class that is named around every model, of those around any.
 
-    Counted are plants with one effect that have a verdict around each model.
+    Counted are plants with one effect that have a verdict around each model. A black box is diagnosed around no model.
 
     Parameters
     ----------
@@ -23,7 +24,8 @@ def found_around_all(answers: Mapping[str, GroundTruth], by_model: Sequence[Mapp
     outcomes = []
     for plant, truth in answers.items():
         submissions = [of_model[plant] for of_model in by_model if plant in of_model]
-        if truth.kind != "single" or not is_detectable(truth) or len(submissions) < len(by_model):
+        is_counted = truth.kind == "single" and is_detectable(truth) and truth.excitation != BLACK_BOX
+        if not is_counted or len(submissions) < len(by_model):
             continue
         found = [any(truth.causes[0] in members_of(claim) for claim in entry.causes) for entry in submissions]
         if any(found):

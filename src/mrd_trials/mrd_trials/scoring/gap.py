@@ -59,19 +59,20 @@ class MapAgreement:
 
 
 LARGE_GAP = 5.0
-"""Squared error beyond noise, over that of noise, from which a diagnosis should say where the gap lies."""
+"""Squared error beyond noise, over that of noise, from which a diagnosis should say where it lies."""
 
 
 def places_found(results: PlantResults) -> Rate:
-    """Return the share of diagnoses with a significant place, of those whose gap is large (`LARGE_GAP`)."""
-    submissions = [result.submission for result in results if result.submission.has_place is not None]
-    return Rate.from_outcomes(
-        [
-            bool(submission.has_place)
-            for submission in submissions
-            if submission.before**2 - submission.noise_floor**2 >= LARGE_GAP * submission.noise_floor**2
-        ]
-    )
+    """Return the share of diagnoses that say where the error lies, of those whose map is that of a large one (`LARGE_GAP`).
+
+    The map of a gap that is explained in part is that of what remains.
+    """
+    found = []
+    for submission in (result.submission for result in results if result.submission.has_place is not None):
+        error = submission.after if submission.verdict == "partly_explained" else submission.before
+        if error**2 - submission.noise_floor**2 >= LARGE_GAP * submission.noise_floor**2:
+            found.append(bool(submission.has_place))
+    return Rate.from_outcomes(found)
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ class ExcitationScore:
         Distance between the submitted share of the gap closed and that on fresh runs.
     maps : MapAgreement
     places : Rate
-        Diagnoses of a large gap with a significant place.
+        Diagnoses that say where a large error lies.
     experiments : ExperimentComparison
     candidate_sets : CandidateSetRates
     classes : ClassRates

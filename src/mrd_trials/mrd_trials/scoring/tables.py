@@ -75,7 +75,7 @@ FIGURES: Sequence[tuple[str, Callable[[ExcitationScore], Figure | str]]] = (
     ("map of the gap: overlap with the true map", lambda score: score.maps.overlap),
     ("… overlap of a uniform map", lambda score: score.maps.uniform),
     ("… same largest bin", lambda score: score.maps.same_largest_bin),
-    ("gap of 5 times the noise or more: a significant place", lambda score: score.places),
+    ("error of 5 times the noise or more: its place is named", lambda score: score.places),
     ("recommended experiment resolves", lambda score: score.experiments.advised),
     ("random experiment resolves", lambda score: score.experiments.random),
     ("… ratio", lambda score: score.experiments.ratio),
@@ -173,7 +173,7 @@ ALTERED_FIGURES: Sequence[tuple[str, Callable[[AlteredScore], Figure | str]]] = 
     ("untouched: something named", lambda score: with_bound(score.untouched)),
     ("names: expected calibration error", lambda score: score.calibration),
     ("share of the added error closed, the oracle's is 1", lambda score: score.closed),
-    ("gap of 5 times the noise or more: a significant place", lambda score: score.places),
+    ("error of 5 times the noise or more: its place is named", lambda score: score.places),
 )
 """Rows of the table of measured recordings."""
 
