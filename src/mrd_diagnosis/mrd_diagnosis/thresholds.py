@@ -152,7 +152,11 @@ class Thresholds:
         "convention",
     )
     named_probability: float = threshold(
-        0.8, "", "probability from which a cause is named without an alternative", "convention"
+        0.8,
+        "",
+        "probability from which a cause is named without an alternative, and share of its class from which an effect "
+        "stands for it",
+        "convention",
     )
     listed_probability: float = threshold(0.05, "", "probability from which an alternative is listed", "convention")
     formula_error: float = threshold(
