@@ -158,6 +158,12 @@ class Thresholds:
         "stands for it",
         "convention",
     )
+    sole_share: float = threshold(
+        0.9,
+        "of the probability of the class",
+        "share from which an effect stands for its class beside a wrong form, where formula and form are both inexact",
+        "development seeds 82, 83, 94 and 95",
+    )
     listed_probability: float = threshold(0.05, "", "probability from which an alternative is listed", "convention")
     formula_error: float = threshold(
         0.02,

@@ -96,6 +96,14 @@ def test_the_level_is_what_the_recordings_determine(probabilities, level):
     assert level_of("channel_delay", members, probabilities) == level
 
 
+@pytest.mark.parametrize(("share", "level"), [(0.85, "class"), (0.92, "effect")])
+def test_beside_a_wrong_form_one_effect_must_be_clearer_to_stand_for_its_class(share, level):
+    probabilities = {"hardening_spring": 0.9 * share, "end_stop": 0.9 * (1.0 - share)}
+    members = tuple(member(name, value) for name, value in probabilities.items())
+    assert level_of("hardening_spring", members, probabilities, beside_wrong_form=True) == level
+    assert level_of("hardening_spring", members, probabilities) == "effect"
+
+
 @pytest.mark.parametrize(
     ("level", "effects", "text"),
     [

@@ -39,7 +39,7 @@ def name_causes(explanation: Explanation, rng: np.random.Generator) -> tuple[Cau
                 explanation.p_values[effect],
                 closed,
                 {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")},
-                level_of(effect, members, probabilities[effect]),
+                level_of(effect, members, probabilities[effect], beside_wrong_form=robust is not None),
                 members,
                 plausible_set({name: probability for name, probability in probabilities[effect].items() if name in EFFECTS}),
             )
@@ -67,7 +67,9 @@ def _around(intervals: Sequence[Interval]) -> Interval:
     return Interval(intervals[0].value, lower, upper) if finite else intervals[0]
 
 
-def level_of(effect: str, members: tuple[Member, ...], probabilities: Mapping[str, float]) -> Level:
+def level_of(
+    effect: str, members: tuple[Member, ...], probabilities: Mapping[str, float], beside_wrong_form: bool = False
+) -> Level:
     """Return what can be said of a cause: the effect, its class, its stage, or nothing.
 
     The effect is named where it is alone in its class or clearly the likeliest one of it; the class where it is likelier
@@ -76,7 +78,8 @@ def level_of(effect: str, members: tuple[Member, ...], probabilities: Mapping[st
     of_class = sum(member.probability for member in members)
     needed = THRESHOLDS.least_probability * sum(probability for name, probability in probabilities.items() if name)
     if of_class >= needed:
-        clear = members[0].probability >= THRESHOLDS.named_probability * of_class
+        share = THRESHOLDS.sole_share if beside_wrong_form else THRESHOLDS.named_probability
+        clear = members[0].probability >= share * of_class
         return "effect" if clear else "class"
     stage = EFFECTS[effect].stage
     of_stage = sum(
