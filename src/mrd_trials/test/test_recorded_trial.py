@@ -284,6 +284,26 @@ def test_a_name_that_the_untouched_recordings_get_too_counts_for_no_one():
     assert not is_detectable(truths[3])
 
 
+def test_what_the_untouched_recordings_show_is_not_known_to_be_wrong():
+    """A fluid that thins closed half of the gap of an untouched press, and was named on some of the altered runs only."""
+    nan = float("nan")
+    truths = [truth_of("n", "null"), *(truth_of(plant, "single", "end_stop") for plant in "abc")]
+    shown = tuple(
+        Explanation(effects, 0.1, (share, nan, nan))
+        for effects, share in ((("shear_thinning",), 0.56), (("gas_spring",), 0.1), (("gas_spring", "settling"), 0.9))
+    )
+    submissions = [
+        replace(submit("n", "unknown_effect"), candidates=shown),
+        submit("a", "partly_explained", "end_stop", "shear_thinning"),
+        submit("b", "partly_explained", "gas_spring"),
+        submit("c", "partly_explained", "settling"),
+    ]
+    by_plant = ({record.plant: record for record in records} for records in (truths, submissions))
+    found = score_trial(*by_plant, {}).altered[SEMIREAL]
+    assert found.classes.wrong == Rate(3, 3)
+    assert found.wrong_unshown == Rate(2, 3)
+
+
 def test_a_name_without_a_change_is_wrong_in_a_comparison():
     truths = [truth_of("n", "null", tier=BEFORE_AFTER), truth_of("a", "single", "moving_mass", tier=BEFORE_AFTER)]
     submissions = [submit("n", "explained", "moving_mass"), submit("a", "explained", "moving_mass")]

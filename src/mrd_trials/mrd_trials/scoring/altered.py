@@ -16,6 +16,9 @@ from mrd_trials.scoring.gap import places_found
 from mrd_trials.scoring.plant_result import PlantResult, PlantResults, select
 from mrd_trials.scoring.rates import Calibration, Distribution, Rate, calibration
 
+SHOWN = 0.2
+"""Share of the gap of the untouched recordings from which an effect that closes it by itself is shown by them, too."""
+
 
 @dataclass(frozen=True)
 class AlteredResult:
@@ -72,6 +75,9 @@ class AlteredScore:
         Share of the added error that is closed on fresh runs, beyond what is closed without it; the oracle closes 1.
     by_strength, by_effect : mapping
         Plants with one effect whose cause is named; by effect, the detectable ones.
+    wrong_unshown : Rate
+        Plants with effects on which a wrong class is named, beyond the background and beyond what the untouched recordings
+        show as well (`SHOWN`).
     places : Rate
         Diagnoses that say where a large error lies.
     classes : ClassRates
@@ -91,6 +97,7 @@ class AlteredScore:
     closed: Distribution
     by_strength: Mapping[str, Rate]
     by_effect: Mapping[str, Rate]
+    wrong_unshown: Rate
     places: Rate
     classes: ClassRates
 
@@ -123,6 +130,10 @@ class AlteredScore:
             ),
             by_strength=_named_by(singles, lambda entry: entry.result.truth.stratum),
             by_effect=_named_by(detectable, lambda entry: entry.result.truth.causes[0]),
+            wrong_unshown=ClassRates.from_results(
+                [entry.result for entry in counted],
+                {entry.result.truth.plant: entry.background | _shown(entry.result, by_plant) for entry in counted},
+            ).wrong,
             places=places_found(results),
             classes=ClassRates.from_results(
                 [entry.result for entry in counted], {entry.result.truth.plant: entry.background for entry in counted}
@@ -135,6 +146,16 @@ def _background(result: PlantResult, by_plant: Mapping[str, PlantResult]) -> fro
     if result.truth.excitation == BEFORE_AFTER or result.truth.background not in by_plant:
         return frozenset()
     return frozenset(by_plant[result.truth.background].named)
+
+
+def _shown(result: PlantResult, by_plant: Mapping[str, PlantResult]) -> frozenset[str]:
+    """Return the effects that close much of the gap of the same recordings without the effects, whether named or not."""
+    if result.truth.excitation == BEFORE_AFTER or result.truth.background not in by_plant:
+        return frozenset()
+    candidates = by_plant[result.truth.background].submission.candidates
+    return frozenset(
+        entry.effects[0] for entry in candidates if len(entry.effects) == 1 and entry.closed_fraction[0] >= SHOWN
+    )
 
 
 def _named(entries: Sequence[AlteredResult]) -> Rate:

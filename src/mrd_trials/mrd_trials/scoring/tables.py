@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from mrd_trials.scoring.altered import AlteredScore
+from mrd_trials.scoring.altered import SHOWN, AlteredScore
 from mrd_trials.scoring.classes import LOST, ClassRates
 from mrd_trials.scoring.gap import ExperimentComparison
 from mrd_trials.scoring.goals import Figure, Goal
@@ -170,6 +170,7 @@ ALTERED_FIGURES: Sequence[tuple[str, Callable[[AlteredScore], Figure | str]]] = 
     ("pairs: both causes named", lambda score: score.pair),
     ("any effect: wrong names", lambda score: with_bound(score.wrong)),
     ("absent effects: wrong names", lambda score: with_bound(score.wrong_absent)),
+    ("wrong class named, but for what the untouched recordings show", lambda score: with_bound(score.wrong_unshown)),
     ("untouched: something named", lambda score: with_bound(score.untouched)),
     ("names: expected calibration error", lambda score: score.calibration),
     ("share of the added error closed, the oracle's is 1", lambda score: score.closed),
@@ -194,7 +195,8 @@ def _altered(score: TrialScore) -> Table:
         ]
     detectable = RECORDED_DETECTABLE / (1 + RECORDED_DETECTABLE)
     note = (
-        "Names beyond those that the untouched recordings get too. Strength: share of the squared error that refitting "
+        "Names beyond those that the untouched recordings get too. Shown by the untouched recordings: an effect that by "
+        f"itself closes {SHOWN:.0%} of their gap. Strength: share of the squared error that refitting "
         f"without the effect would close; detectable: above {detectable:.0%}; by effect: the detectable ones."
     )
     return Table("Effects put into measured recordings", ("", *scores), tuple(rows) if scores else (), note)
