@@ -167,8 +167,6 @@ class Submission:
         Held-out NRMSE.
     closed_fraction : tuple of three floats
     where : tuple of GapBin
-    has_place : bool or None
-        Whether the diagnosis says in a sentence where the error lies; None where it has no map.
     next_experiment : str
         Text of the recommended experiment; empty without one.
     parameters : mapping
@@ -181,6 +179,8 @@ class Submission:
         Commitment to the answer of the plant that was diagnosed: plants of all trials have the same names.
     weighed : tuple of WeighedEffect
         Effects that were weighed by their evidence, named or not.
+    has_place : bool or None
+        Whether the diagnosis says in a sentence where the error lies; None where it has no map.
     """
 
     plant: str
@@ -195,13 +195,13 @@ class Submission:
     after: float = NAN
     closed_fraction: IntervalEnds = (NAN, NAN, NAN)
     where: tuple[GapBin, ...] = ()
-    has_place: bool | None = None
     next_experiment: str = ""
     parameters: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[str, ...] = ()
     elapsed: float = NAN
     commitment: str = ""
     weighed: tuple[WeighedEffect, ...] = ()
+    has_place: bool | None = None
 
 
 @dataclass(frozen=True)
