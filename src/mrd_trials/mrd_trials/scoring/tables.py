@@ -8,7 +8,7 @@ import numpy as np
 
 from mrd_trials.scoring.altered import SHOWN, AlteredScore
 from mrd_trials.scoring.classes import LOST, ClassRates
-from mrd_trials.scoring.gap import ExperimentComparison
+from mrd_trials.scoring.gap import LARGE_GAP, ExperimentComparison
 from mrd_trials.scoring.goals import Figure, Goal
 from mrd_trials.scoring.naming import NamingRates
 from mrd_trials.scoring.plant_result import LIKELY
@@ -40,6 +40,9 @@ CLASS_FIGURES: Sequence[tuple[str, Callable[[ClassRates], Figure | str]]] = (
     ("… number of effects in these sets", lambda rates: rates.set_sizes),
 )
 """Rows on classes of effects, in both tables."""
+
+PLACE_NAMED = f"squared error beyond noise of {LARGE_GAP:g} times that of the noise or more: its place is named"
+"""Row on places, in both tables."""
 
 FIGURES: Sequence[tuple[str, Callable[[ExcitationScore], Figure | str]]] = (
     ("plants", lambda score: float(score.plants)),
@@ -75,7 +78,7 @@ FIGURES: Sequence[tuple[str, Callable[[ExcitationScore], Figure | str]]] = (
     ("map of the gap: overlap with the true map", lambda score: score.maps.overlap),
     ("… overlap of a uniform map", lambda score: score.maps.uniform),
     ("… same largest bin", lambda score: score.maps.same_largest_bin),
-    ("error of 5 times the noise or more: its place is named", lambda score: score.places),
+    (PLACE_NAMED, lambda score: score.places),
     ("recommended experiment resolves", lambda score: score.experiments.advised),
     ("random experiment resolves", lambda score: score.experiments.random),
     ("… ratio", lambda score: score.experiments.ratio),
@@ -174,7 +177,7 @@ ALTERED_FIGURES: Sequence[tuple[str, Callable[[AlteredScore], Figure | str]]] = 
     ("untouched: something named", lambda score: with_bound(score.untouched)),
     ("names: expected calibration error", lambda score: score.calibration),
     ("share of the added error closed, the oracle's is 1", lambda score: score.closed),
-    ("error of 5 times the noise or more: its place is named", lambda score: score.places),
+    (PLACE_NAMED, lambda score: score.places),
 )
 """Rows of the table of measured recordings."""
 
