@@ -14,7 +14,7 @@ from mrd_trials.reference_fit import ReferenceFit
 from mrd_trials.size import measured_size
 from mrd_trials.start import begin_later
 from mrd_trials.trial_design import PlantDesign
-from mrd_trials.truth import EFFECTS, MeasuredRun, alter
+from mrd_trials.truth import EFFECTS, AlteredRun, MeasuredRun, alter
 
 MOST_RUNS = 8
 """Most runs that a diagnosis is given, so that it does not take longer than that of a simulated plant."""
@@ -90,10 +90,7 @@ class RecordedSession:
         altered = alter(
             [_smoothed(run) for run in self.runs], effects, self.formulas, np.random.default_rng(self.phase_seed)
         )
-        runs = [
-            replace(run, position=position, velocity=np.gradient(position, run.time), current=current, force=force)
-            for run, (position, current, force) in zip(self.runs, altered, strict=True)
-        ]
+        runs = [_with_alteration(run, one) for run, one in zip(self.runs, altered, strict=True)]
         return begin_later(runs, self.start_seed)
 
     def strength_of(self, reference: ReferenceFit, effects: Effects) -> float:
@@ -116,6 +113,22 @@ def split_runs(runs: Sequence[Run], rng: np.random.Generator) -> tuple[tuple[Run
     kept = sorted(map(int, rng.permutation(len(halves[0]))[:MOST_RUNS]))
     first, second = (tuple(half[place] for place in kept) for half in halves)
     return first, second, tuple(runs[place] for place in sorted(fresh))
+
+
+def _with_alteration(run: Run, altered: AlteredRun) -> Run:
+    acceleration, temperature = (
+        None if series is None else series[altered.recorded] for series in (run.acceleration, run.temperature)
+    )
+    return replace(
+        run,
+        time=altered.time,
+        position=altered.position,
+        velocity=np.gradient(altered.position, altered.time),
+        current=altered.current,
+        force=altered.force,
+        acceleration=acceleration,
+        temperature=temperature,
+    )
 
 
 def _smoothed(run: Run) -> MeasuredRun:

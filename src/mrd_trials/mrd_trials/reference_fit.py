@@ -11,7 +11,7 @@ from mrd_identification.parallel import in_threads
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording, consecutive_forces, prepare_recording
 from mrd_runs import Run
-from mrd_sim.models import DamperModel, find_model
+from mrd_sim.models import find_model
 
 Array = NDArray[np.float64]
 
@@ -28,20 +28,24 @@ class ReferenceFit:
 
     Attributes
     ----------
-    model : DamperModel
+    problem : Problem
+        The model and the recordings.
     theta : ndarray (parameters,)
+    gains : bool
+        Whether the gains of the runs are free beside their offsets.
     errors : ndarray (samples,)
         Modelled minus measured force in N.
     counted : tuple of slice
         Samples of each run that count.
     nuisance : ndarray (samples, k)
-        Orthonormal basis of what the model's parameters, and an offset and a gain of each run, can imitate.
+        Orthonormal basis of what the model's parameters, and an offset and perhaps a gain of each run, can imitate.
     remainder : ndarray (samples,)
         What the fit leaves of the errors in N.
     """
 
-    model: DamperModel
+    problem: Problem
     theta: Array
+    gains: bool
     errors: Array
     counted: tuple[slice, ...]
     nuisance: Array
@@ -50,14 +54,17 @@ class ReferenceFit:
     @classmethod
     def from_runs(cls, model_id: str, runs: Sequence[Run], rng: np.random.Generator, gains: bool = True) -> "ReferenceFit":
         """Fit a model to runs of a plant without effects; without ``gains``, only the offsets of the runs are free."""
-        recordings = in_threads(prepare_recording, runs)
-        problem, theta = fit_model(model_id, recordings, rng)
-        free = offsets_and_gains(consecutive_forces(problem.model, theta, recordings))
+        problem, theta = fit_model(model_id, in_threads(prepare_recording, runs), rng)
+        return cls._around(problem, theta, gains)
+
+    @classmethod
+    def _around(cls, problem: Problem, theta: Array, gains: bool) -> "ReferenceFit":
+        free = offsets_and_gains(consecutive_forces(problem.model, theta, problem.recordings))
         scatter = free if gains else free[:, ::2]
         nuisance = orthonormal_basis(np.hstack([problem.jacobian(problem.unit(theta)), scatter]))
         errors = problem.errors(theta)
-        counted = tuple(recording.counted for recording in recordings)
-        return cls(problem.model, theta, errors, counted, nuisance, errors - nuisance @ (nuisance.T @ errors))
+        counted = tuple(recording.counted for recording in problem.recordings)
+        return cls(problem, theta, gains, errors, counted, nuisance, errors - nuisance @ (nuisance.T @ errors))
 
     def unexplained_change(self, runs: Sequence[Run]) -> Array:
         """Return what effects change in the errors (samples,) and the model cannot take up, in N.
@@ -66,7 +73,7 @@ class ReferenceFit:
         """
         prepared = in_threads(prepare_recording, runs)
         recordings = [replace(recording, counted=part) for recording, part in zip(prepared, self.counted, strict=True)]
-        forces = consecutive_forces(self.model, self.theta, recordings)
+        forces = consecutive_forces(self.problem.model, self.theta, recordings)
         change = np.concatenate([f - r.force for f, r in zip(forces, recordings, strict=True)]) - self.errors
         return np.asarray(change - self.nuisance @ (self.nuisance.T @ change))
 
@@ -77,10 +84,12 @@ class ReferenceFit:
     def added_error(self, runs: Sequence[Run]) -> float:
         """Return by how much the effects raise the mean square of what the fit leaves, over that without effects.
 
-        Unlike `signal_to_floor`, it counts that an effect may make up for a part of the error that was there before.
+        The parameters follow the effects to first order. Unlike `signal_to_floor`, it counts that an effect may make up for
+        a part of the error that was there before; and the runs may take longer with the effects.
         """
-        with_effects = self.remainder + self.unexplained_change(runs)
-        return float(np.mean(with_effects**2) / np.mean(self.remainder**2)) - 1.0
+        problem = replace(self.problem, recordings=in_threads(prepare_recording, runs))
+        with_effects = self._around(problem, self.theta, self.gains)
+        return float(np.mean(with_effects.remainder**2) / np.mean(self.remainder**2)) - 1.0
 
 
 def fit_model(model_id: str, recordings: Sequence[Recording], rng: np.random.Generator) -> tuple[Problem, Array]:

@@ -35,4 +35,5 @@ def _without_start(run: Run, seconds: float) -> Run:
         current=run.current[first:],
         force=run.force[first:],
         acceleration=None if run.acceleration is None else run.acceleration[first:],
+        temperature=None if run.temperature is None else run.temperature[first:],
     )

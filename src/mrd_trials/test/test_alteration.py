@@ -67,11 +67,16 @@ def change(measured, effect, formula, strength):
         [
             np.sqrt(
                 np.mean(
-                    np.concatenate([one[place] - getattr(run, name) for one, run in zip(altered, measured, strict=True)])
+                    np.concatenate(
+                        [
+                            getattr(one, name) - getattr(run, name)[one.recorded]
+                            for one, run in zip(altered, measured, strict=True)
+                        ]
+                    )
                     ** 2
                 )
             )
-            for place, name in enumerate(("position", "current", "force"))
+            for name in ("position", "current", "force")
         ]
     )
 
@@ -89,7 +94,7 @@ def test_an_alteration_is_none_without_strength_and_grows_with_it(measured, effe
 def test_a_recording_is_altered_as_if_the_damper_had_the_effect(measured, effect):
     for formula in EFFECTS[effect].formulas:
         effects, formulas = typical(effect, formula.id), {effect: formula.id}
-        altered = np.concatenate([one[2] for one in alter(measured, effects, formulas, np.random.default_rng(0))])
+        altered = np.concatenate([one.force for one in alter(measured, effects, formulas, np.random.default_rng(0))])
         with_effect, without = (
             np.concatenate([run.force for run in runs]) for runs in (recorded(effects, formulas), measured)
         )
@@ -103,18 +108,47 @@ def test_what_is_in_series_lengthens_the_recorded_motion(measured):
         ("series_compliance", "rubber", {"hardening_force": 1e6}),
     ):
         altered = alter(measured, {effect: {"compliance": 1e-6, **shape}}, {effect: formula}, np.random.default_rng(0))
-        for (position, _, force), run in zip(altered, measured, strict=True):
-            np.testing.assert_allclose(position - run.position, 1e-6 * run.force, atol=2e-6)
-            np.testing.assert_allclose(force, run.force, atol=1e-9)
-    (position, _, _), _ = alter(measured, {"backlash": {"play": 4e-4, "drag": 10.0}}, {}, np.random.default_rng(0))
-    away = np.abs(measured[0].force) > 100.0
-    np.testing.assert_allclose((position - measured[0].position)[away], 2e-4 * np.sign(measured[0].force[away]), atol=2e-5)
+        for one, run in zip(altered, measured, strict=True):
+            np.testing.assert_allclose(one.position - run.position, 1e-6 * run.force, atol=2e-6)
+            np.testing.assert_allclose(one.force, run.force, atol=1e-9)
+    backlash, _ = alter(measured, {"backlash": {"play": 4e-4, "drag": 10.0}}, {}, np.random.default_rng(0))
+    away = np.abs(backlash.force) > 100.0
+    moved = backlash.position - measured[0].position[backlash.recorded]
+    np.testing.assert_allclose(moved[away], 2e-4 * np.sign(backlash.force[away]), atol=2e-5)
+
+
+@pytest.mark.parametrize("effect", ["backlash", "joint_play"])
+def test_a_play_is_crossed_at_the_speed_of_the_drive_while_the_rod_rests(measured, effect):
+    for formula in EFFECTS[effect].formulas:
+        effects, formulas = typical(effect, formula.id), {effect: formula.id}
+        altered = alter(measured, effects, formulas, np.random.default_rng(0))
+        assert len(altered[0].time) > 4 * RATE + 100
+        for one, run in zip(altered, measured, strict=True):
+            fastest = np.abs(np.diff(run.position)).max()
+            assert np.abs(np.diff(one.position)).max() < 2.0 * fastest
+            np.testing.assert_allclose(np.diff(one.time), 1.0 / RATE, rtol=1e-6)
+        # A damper with the play, driven as the altered recording says, has the altered force.
+        with_play, without = (again(altered, *plant) for plant in ((effects, formulas), ({}, {})))
+        for one, run, other in zip(altered, with_play, without, strict=True):
+            counted = slice(100, len(run.force))  # the plant starts with no force
+            difference, size = (np.std((force[: len(run.force)] - run.force)[counted]) for force in (one.force, other.force))
+            assert difference < 0.1 * size + 1.0, formula.id
+
+
+def again(runs, effects, formulas):
+    plant = TruePlant("dahl", {"offset": 0.0}, effects, formulas)
+    return record(plant, [driven(run) for run in runs], QUIET, np.random.default_rng(0))
+
+
+def driven(run):
+    t = np.arange(int(8000 * run.time[-1])) * STEP
+    return BenchCommand(t, np.interp(t, run.time, run.position), np.full_like(t, run.current[0]), exact=True)
 
 
 def test_heat_and_travel_carry_over_from_run_to_run(measured):
     for effect, least in (("settling", 10.0), ("thermal_fade", 0.3)):
         first, second = alter([measured[0]] * 2, typical(effect, ""), {}, np.random.default_rng(0))
-        assert np.abs(second[2] - first[2]).max() > least
+        assert np.abs(second.force - first.force).max() > least
 
 
 def test_what_cannot_be_put_into_a_recording_is_refused(measured):

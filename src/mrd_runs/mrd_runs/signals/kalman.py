@@ -191,12 +191,13 @@ def _filter(intervals, position, acceleration, start, density, gain, variance): 
     for k in range(n):
         if not steady:
             stored += 1
-            covariances[stored] = P
+            _copy(P, covariances[stored])
             _update_covariance(P, 0, 1.0, 1.0, K)
             if gain != 0.0:
                 _update_covariance(P, 2, gain, variance, C)
         which[k] = stored
-        states[k] = state
+        for i in range(order):
+            states[k, i] = state[i]
         innovations[k, 0] = position[k] - state[0]
         for i in range(order):
             state[i] += K[i] * innovations[k, 0]
@@ -235,7 +236,7 @@ def smooth_states(intervals, position, acceleration, start, density, gain, varia
                     score[i] += F[j, i] * score[j]
         predicted = covariances[which[k]]
         if k == n - 1 or which[k] != which[k + 1]:
-            P[:, :] = predicted
+            _copy(predicted, P)
             f = 1 / _update_covariance(P, 0, 1.0, 1.0, K)
             if gain != 0.0:
                 g = 1 / _update_covariance(P, 2, gain, variance, C)
@@ -280,7 +281,7 @@ def draw_errors(intervals, parts, normal, density, gain, variance):  # type: ign
                 _update_covariance(P, 0, 1.0, 1.0, K)
                 if gain != 0.0:
                     _update_covariance(P, 2, gain, variance, K)
-            covariances[stored] = P
+            _copy(P, covariances[stored])
         which[k] = stored
         even = abs(intervals[k] - last) <= 1e-6 * last
         if not even:
@@ -291,30 +292,80 @@ def draw_errors(intervals, parts, normal, density, gain, variance):  # type: ign
             steady = _converged(P, diagonal) and even and parts == 1
 
     drawn = np.empty((3, count, n))
-    J, root = np.zeros((order, order)), _covariance_root(covariances[which[n - 1]])
-    errors = np.zeros((count, order))
+    J, root = np.zeros((order, order)), np.zeros((order, order))
+    _set_root(covariances[which[n - 1]], root)
+    errors, following = np.zeros(order), np.zeros((count, order))
     last = 0.0
     for k in range(n - 1, -1, -1):
         if k < n - 1 and (which[k] != which[k + 1] or k == n - 2 or abs(intervals[k] - last) > 1e-6 * last):
             last = intervals[k]
             _set_transition(last, density, unit_Q, F, Q)
             filtered = covariances[which[k]]
-            P[:, :] = filtered
+            _copy(filtered, P)
             _predict_covariance(P, F, Q, work)
-            scale = np.sqrt(np.diag(P))
-            J[:, :] = (np.linalg.solve(P / np.outer(scale, scale), (F @ filtered) / scale.reshape(-1, 1))).T / scale
-            rest = np.eye(order) - J @ F
-            root = _covariance_root(rest @ filtered @ rest.T + J @ Q @ J.T)
-        errors = errors @ J.T + normal[k] @ root.T
-        drawn[0, :, k], drawn[1, :, k], drawn[2, :, k] = errors[:, 0], errors[:, 1], errors[:, 2]
+            _set_root(P, root)
+            _set_gain(filtered, F, root, J)
+            _set_covariance_of_draw(filtered, F, Q, J, work, P)
+            _set_root(P, root)
+        for draw in range(count):
+            for i in range(order):
+                errors[i] = 0.0
+                for j in range(order):
+                    errors[i] += J[i, j] * following[draw, j] + root[i, j] * normal[k, draw, j]
+            for i in range(order):
+                following[draw, i] = errors[i]
+            for i in range(3):
+                drawn[i, draw, k] = errors[i]
     return drawn
 
 
 @njit(cache=True, nogil=True)
-def _covariance_root(covariance):  # type: ignore[no-untyped-def]
-    """Return the Cholesky factor of a covariance that rounding may have made slightly indefinite."""
+def _copy(matrix, to):  # type: ignore[no-untyped-def]
+    """Copy a square matrix. The compiler takes ten times as long for ``to[:, :] = matrix``."""
+    for i in range(len(matrix)):
+        for j in range(len(matrix)):
+            to[i, j] = matrix[i, j]
+
+
+@njit(cache=True, nogil=True)
+def _set_gain(filtered, F, root, J):  # type: ignore[no-untyped-def]
+    """J ← P Fᵀ (L Lᵀ)⁻¹ with the ``filtered`` covariance P and the Cholesky factor L (``root``) of the predicted one."""
+    order = len(F)
+    for i in range(order):
+        for j in range(order):
+            J[i, j] = 0.0
+            for k in range(j, order):
+                J[i, j] += F[j, k] * filtered[k, i]
+            for k in range(j):
+                J[i, j] -= root[j, k] * J[i, k]
+            J[i, j] /= root[j, j]
+        for j in range(order - 1, -1, -1):
+            for k in range(j + 1, order):
+                J[i, j] -= root[k, j] * J[i, k]
+            J[i, j] /= root[j, j]
+
+
+@njit(cache=True, nogil=True)
+def _set_covariance_of_draw(filtered, F, Q, J, rest, result):  # type: ignore[no-untyped-def]
+    """Fill ``result`` with (I - J F) P (I - J F)ᵀ + J Q Jᵀ and ``rest`` with I - J F; P is the ``filtered`` covariance."""
+    order = len(F)
+    for i in range(order):
+        for j in range(order):
+            rest[i, j] = 1.0 if i == j else 0.0
+            for k in range(j + 1):
+                rest[i, j] -= J[i, k] * F[k, j]
+    for i in range(order):
+        for j in range(order):
+            result[i, j] = 0.0
+            for k in range(order):
+                for m in range(order):
+                    result[i, j] += rest[i, k] * filtered[k, m] * rest[j, m] + J[i, k] * Q[k, m] * J[j, m]
+
+
+@njit(cache=True, nogil=True)
+def _set_root(covariance, root):  # type: ignore[no-untyped-def]
+    """Fill ``root`` with the Cholesky factor of a covariance that rounding may have made slightly indefinite."""
     order = len(covariance)
-    root = np.zeros((order, order))
     for i in range(order):
         for j in range(i + 1):
             rest = covariance[i, j]
@@ -324,4 +375,5 @@ def _covariance_root(covariance):  # type: ignore[no-untyped-def]
                 root[i, i] = math.sqrt(max(rest, 0.0))
             elif root[j, j] > 0.0:
                 root[i, j] = rest / root[j, j]
-    return root
+            else:
+                root[i, j] = 0.0

@@ -3,7 +3,7 @@
 Signs: the position of a rod that moves out is positive, and so is a force that resists this. All units are SI.
 """
 
-from mrd_trials.truth.alteration import ALTERATIONS, MeasuredRun, alter
+from mrd_trials.truth.alteration import ALTERATIONS, AlteredRun, MeasuredRun, alter
 from mrd_trials.truth.damper_forms import DAMPER_FORMS, DamperForm, draw_parameters
 from mrd_trials.truth.effects import EFFECTS, EffectParameter, Family, Formula, TrueEffect
 from mrd_trials.truth.instruments import Readings, TrueInstruments
@@ -13,6 +13,7 @@ __all__ = [
     "ALTERATIONS",
     "DAMPER_FORMS",
     "EFFECTS",
+    "AlteredRun",
     "BenchCommand",
     "DamperForm",
     "EffectParameter",

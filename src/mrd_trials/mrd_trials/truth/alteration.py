@@ -2,9 +2,11 @@
 
 Every effect here can be added to a recording without a model of the damper, by these assumptions: the force less its mean
 is the fluid's; what is parallel to the damper adds a force that follows from the measured motion; what is in series adds an
-elongation that follows from the measured force; a sensor changes what it reads.
+elongation that follows from the measured force; a sensor changes what it reads. Where the drive crosses a play, the rod
+rests, and the run takes longer than the recorded one.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -74,6 +76,10 @@ ALTERATIONS = (
 """Effects that can be put into a recording; the others need the force of the damper at another current or motion."""
 
 
+SLOWEST_CROSSING = 0.01
+"""Least speed at which the drive crosses a play, over the largest speed of the run: a drive at rest would never cross it."""
+
+
 @dataclass(frozen=True)
 class MeasuredRun:
     """A measured run; all arrays have the shape (samples,).
@@ -96,13 +102,32 @@ class MeasuredRun:
     force: Array
 
 
+@dataclass(frozen=True)
+class AlteredRun:
+    """A run as it would have been recorded with some effects; all arrays have the shape (samples,).
+
+    Attributes
+    ----------
+    time, position, current, force : ndarray
+        As in `MeasuredRun`. The time ends later where plays were crossed.
+    recorded : ndarray of int
+        Sample of the measured run that was reached; it stays the same while the rod rests.
+    """
+
+    time: Array
+    position: Array
+    current: Array
+    force: Array
+    recorded: NDArray[np.intp]
+
+
 def alter(
     runs: Sequence[MeasuredRun],
     effects: Mapping[str, Mapping[str, float]],
     formulas: Mapping[str, str],
     rng: np.random.Generator,
-) -> list[tuple[Array, Array, Array]]:
-    """Return position, current and force of each run as they would have been recorded with some effects.
+) -> list[AlteredRun]:
+    """Return the runs as they would have been recorded with some effects.
 
     The runs are taken as one session, in their order, with a pause of 30 s between them.
 
@@ -114,7 +139,7 @@ def alter(
     formulas : mapping
         Formula of each effect, the first one where left out; may name further effects.
     rng : numpy Generator
-        Draws the phase of the mains in each run.
+        Draws the phase of the mains in each run, and the noise of the force while a play is crossed.
 
     Raises
     ------
@@ -128,17 +153,27 @@ def alter(
     slow, clock, altered = rested_state(), 0.0, []
     for run in runs:
         step = float((run.time[-1] - run.time[0]) / (len(run.time) - 1))
-        motion = run.position, run.velocity, run.acceleration
         force = _force_on_cell(p, run.position, run.velocity, run.current, run.force - preload, step, slow) + preload
-        force += inertia_force(p, *motion, step)
-        position = _shown_by_encoder(p, run.position + _elongations(p, force, step))
-        force = force_channel(p, force, position, run.current, clock, run.time, step)
-        force = force + hum(p, run.time, rng.random())
-        current = current_reading(p, clock + run.time, run.current)
-        altered.append((transducer_reading(p, sticking_reading(p, position)), current, force))
-        clock += run.time[-1] + REST
+        force += inertia_force(p, run.position, run.velocity, run.acceleration, step)
+        before, crossing = _crossings(p, run.position, run.velocity, run.acceleration, force, step)
+        recorded = np.insert(np.arange(len(force)), before, before - 1)
+        rests = np.insert(np.zeros(len(force), bool), before, True)
+        time = run.time[recorded] + step * np.cumsum(rests)
+        force = np.insert(force, before, crossing)
+        position = _shown_by_encoder(p, run.position[recorded] + _elongations(p, force, step))
+        force[rests] += _noise(run.force) * rng.standard_normal(len(before))
+        force = force_channel(p, force, position, run.current[recorded], clock, time, step)
+        force = force + hum(p, time, rng.random())
+        current = current_reading(p, clock + time, run.current[recorded])
+        altered.append(AlteredRun(time, transducer_reading(p, sticking_reading(p, position)), current, force, recorded))
+        clock += time[-1] + REST
         store_heat(p, slow[: FLUID_HEAT + 1], 0.0, REST)
     return altered
+
+
+def _noise(force: Array) -> float:
+    """Return the standard deviation in N of white noise, from what differs between neighbouring samples."""
+    return float(np.median(np.abs(np.diff(force, 2))) / (0.6745 * math.sqrt(6.0)))
 
 
 @njit(nogil=True)
@@ -173,11 +208,64 @@ def _force_on_cell(
 
 
 @njit(nogil=True)
+def _plays_at_rest(p: PlantValues, force: float) -> tuple[float, float]:
+    """Return where drive and joint lie in their plays when a force has acted for long."""
+    side = 1.0 if force > 0.0 else -1.0
+    return 0.5 * side * p.backlash_play, 0.5 * side * p.joint_play_play
+
+
+@njit(nogil=True)
+def _crossings(
+    p: PlantValues, position: Array, velocity: Array, acceleration: Array, force: Array, step: float
+) -> tuple[NDArray[np.intp], Array]:
+    """Return the samples at which the rod rests while the drive crosses its plays.
+
+    The recorded force would push the drive across within a sample or two, but the drive has a speed of its own: that of the
+    rod, or what it reaches in the play with the acceleration of the rod. Until it is across, the rod rests, and the force
+    is the one that moves the drive at this speed.
+
+    Returns
+    -------
+    before : ndarray (m,)
+        Recorded sample before which each of these samples comes, in their order.
+    crossing : ndarray (m,)
+        Force in N.
+    """
+    before, crossing = [0 for _ in range(0)], [0.0 for _ in range(0)]
+    play = p.backlash_play + p.joint_play_play
+    drive, joint = _plays_at_rest(p, force[0])
+    drive, joint = backlash_offset(p, drive, force[0], step), joint_offset(p, joint, force[0], step)
+    slowest, largest = SLOWEST_CROSSING * np.abs(velocity).max(), np.abs(force).max()
+    for i in range(1, len(force)):
+        speed = max(abs(velocity[i]), math.sqrt(0.5 * abs(acceleration[i]) * play), slowest)
+        next_drive = backlash_offset(p, drive, force[i], step)
+        next_joint = joint_offset(p, joint, force[i], step)
+        while speed > 0.0 and abs(next_drive - drive + next_joint - joint) > speed * step:
+            forward = next_drive + next_joint > drive + joint
+            weak, strong = (-largest, force[i]) if forward else (largest, force[i])
+            for _ in range(50):
+                middle = 0.5 * (weak + strong)
+                next_drive = backlash_offset(p, drive, middle, step)
+                next_joint = joint_offset(p, joint, middle, step)
+                moved = next_drive - drive + next_joint - joint
+                if (moved if forward else -moved) > speed * step:
+                    strong = middle
+                else:
+                    weak = middle
+            drive, joint = backlash_offset(p, drive, strong, step), joint_offset(p, joint, strong, step)
+            before.append(i)
+            crossing.append(strong)
+            next_drive = backlash_offset(p, drive, force[i], step)
+            next_joint = joint_offset(p, joint, force[i], step)
+        drive, joint = next_drive, next_joint
+    return np.array(before, dtype=np.intp), np.array(crossing, dtype=np.float64)
+
+
+@njit(nogil=True)
 def _elongations(p: PlantValues, force: Array, step: float) -> Array:
     """Return by how much everything in series with the damper is longer under its force."""
     elongation = np.empty_like(force)
-    side = 1.0 if force[0] > 0.0 else -1.0
-    drive, joint = 0.5 * side * p.backlash_play, 0.5 * side * p.joint_play_play
+    drive, joint = _plays_at_rest(p, force[0])
     mount = series_elongation(p, 0.0, force[0], AT_REST)
     for i in range(len(force)):
         drive, joint = backlash_offset(p, drive, force[i], step), joint_offset(p, joint, force[i], step)
