@@ -77,6 +77,7 @@ def test_an_acceptance_test_is_recorded_and_its_warm_up_ends_once_the_force_has_
     assert again.stdout.splitlines()[:2] == [f"{output}: nothing is missing", count]
 
 
+@pytest.mark.slow
 def test_an_endurance_test_ends_at_its_limit_and_can_be_completed(tmp_path: Path) -> None:
     plant = yaml.safe_load(PLANT.read_text())
     plant["/**/plant"]["ros__parameters"]["damper"]["effects"] = "settling: {excess: 0.4, travel: 0.3}"

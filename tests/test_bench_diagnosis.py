@@ -92,6 +92,7 @@ def half_a_second_is_in(bag: Path) -> bool:
     return sum(file.stat().st_size for file in bag.glob("*.mcap")) > 100_000
 
 
+@pytest.mark.slow
 def test_a_healthy_damper_has_no_gap_however_often_its_diagnosis_was_ended(start: Start, tmp_path: Path) -> None:
     """A closed terminal, the death of the tool, and Ctrl-C end it. Nothing is lost, and nothing is recorded again."""
     round_1 = tmp_path / "out" / "round_1"

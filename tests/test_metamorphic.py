@@ -81,16 +81,12 @@ def drawn(name, kind):
     return DRAWS[kind](np.random.default_rng(crc32(f"{name} {kind}".encode())))
 
 
+FEW_SLOW = (("worn_joint", "file"), ("healthy", "size"), ("healthy", "zero"), ("seal_friction", "mirror"))
+
+
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [
-        ("worn_joint", "size"),
-        ("worn_joint", "file"),
-        ("healthy", "start"),
-        ("healthy", "size"),
-        ("healthy", "zero"),
-        ("seal_friction", "mirror"),
-    ],
+    [("worn_joint", "size"), ("healthy", "start"), *(pytest.param(*few, marks=pytest.mark.slow) for few in FEW_SLOW)],
 )
 def test_a_changed_recording_gets_the_same_answer(name, kind, tmp_path):
     check(name, drawn(name, kind), tmp_path, FEW, FEW_RUNS)

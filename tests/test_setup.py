@@ -57,7 +57,7 @@ class Machine:
     def set_up(self, **environment: str) -> subprocess.CompletedProcess[str]:
         clean = {"PATH": str(self.bin), "HOME": str(self.bin), "TMPDIR": str(self.bin), **environment}
         return subprocess.run(
-            [self.workspace / "setup" / "environment"], env=clean, capture_output=True, text=True, timeout=100
+            [self.workspace / "setup" / "environment"], env=clean, capture_output=True, text=True, timeout=280
         )
 
     def refusal(self, **environment: str) -> str:
@@ -151,7 +151,7 @@ def test_an_audit_without_network_says_so(machine):
     (machine.bin / "awk").symlink_to(shutil.which("awk"))
     clean = {"PATH": str(machine.bin), "HOME": str(machine.bin), "TMPDIR": str(machine.bin)}
     clean |= {"PIP_INDEX_URL": "http://127.0.0.1:9/simple", "PIP_RETRIES": "1", "PIP_NO_CACHE_DIR": "1"}
-    audit = subprocess.run(["make", "audit"], cwd=machine.workspace, env=clean, capture_output=True, text=True, timeout=100)
+    audit = subprocess.run(["make", "audit"], cwd=machine.workspace, env=clean, capture_output=True, text=True, timeout=280)
     assert audit.returncode != 0
     line, *_ = audit.stderr.splitlines()
     assert line.startswith("audit: no network: pip-audit cannot be downloaded; ")

@@ -18,9 +18,8 @@ from mrd_interfaces.msg import ServoState
 pytestmark = pytest.mark.realtime
 
 FEW = (
-    "^(pinion slips|coil: open|serial line: each reply comes after.*|LVDT: unplugged|disk: (full|read-only)"
-    "|clock: stepped back.*|recorder: SIGTERM|hybrid test: (wires of the load cell.*|controller: SIGKILL)"
-    "|diagnosis, first recording: stop)$"
+    "^(pinion slips|coil: open|serial line: each reply comes after.*|disk: full|recorder: SIGTERM"
+    "|hybrid test: controller: SIGKILL)$"
 )
 
 
@@ -34,7 +33,7 @@ def campaign(*options: str, timeout: float) -> str:
 @pytest.mark.timeout(600)
 def test_some_faults_are_within_their_limits() -> None:
     table = campaign("--rows", FEW, "--moments", "1", timeout=590)
-    assert table.count("| ok |") == 11
+    assert table.count("| ok |") == 6
 
 
 @pytest.mark.slow

@@ -212,7 +212,7 @@ def test_a_fit_says_where_mid_stroke_is():
     assert (diagnosis.verdict, diagnosis.corrected.parameters["mid_stroke"]) == ("no_gap", 0.022)
 
 
-@pytest.mark.parametrize("zero", [0.0, 0.016, -0.3])
+@pytest.mark.parametrize("zero", [0.016, *(pytest.param(zero, marks=pytest.mark.slow) for zero in (0.0, -0.3))])
 def test_a_stop_at_one_end_is_named_wherever_the_zero_of_the_position_is(zero):
     """One that was symmetric about the zero was named at two ends, or at none."""
     stopped = recorded({"end_stop": {"stiffness": 2e7, "upper": 0.007, "lower": -0.03, "exponent": 2.0}}, seed=5)
@@ -345,6 +345,7 @@ def test_a_second_cause_is_found_and_both_have_alternatives():
     assert likely == sorted(likely, reverse=True)
 
 
+@pytest.mark.slow
 def test_a_second_cause_is_found_within_the_tolerance_of_the_first_formula():
     runs = recorded({"channel_delay": {"delay": 0.006}, "moving_mass": {"mass": 5.0}}, seed=9)
     diagnosis = diagnose(runs, "bouc_wen", effects=FEW)
@@ -354,6 +355,7 @@ def test_a_second_cause_is_found_within_the_tolerance_of_the_first_formula():
     assert diagnosis.causes[1].closed_fraction.value < 0.06
 
 
+@pytest.mark.slow
 def test_a_play_far_smaller_than_typical_scores_best_beside_a_lag():
     runs = recorded({"backlash": {"play": 7e-5}, "force_sensor_lag": {"lag": 0.0017}}, seed=3, rate=500)
     fit = fit_base(find_model("bouc_wen"), None, [prepare_recording(run) for run in runs], np.random.default_rng(0))
@@ -364,6 +366,7 @@ def test_a_play_far_smaller_than_typical_scores_best_beside_a_lag():
     assert of_play > 10 * max(others)
 
 
+@pytest.mark.slow
 def test_runs_that_were_set_aside_may_go_beyond_the_fitted():
     effect = {"channel_delay": {"delay": 0.012}}
     runs = recorded(effect, seed=10, only=["sine", "multisine", "slow", "slow"])
@@ -380,6 +383,7 @@ def test_heat_goes_on_from_run_to_run():
     assert fade.parameters["thermal_fade.fade"].value.value == pytest.approx(2e-4, rel=0.2)
 
 
+@pytest.mark.slow
 def test_what_has_settled_is_stirred_once_also_in_runs_that_were_set_aside():
     effect = {"settling": {"excess": 0.3, "travel": 0.3}}
     runs = recorded(effect, seed=6, only=["triangle", "multisine", "sine", "slow", "multisine"])
@@ -409,7 +413,7 @@ def test_a_known_filter_of_the_force_is_no_gap():
     assert [finding.severity for finding in known.findings if finding.kind == "filter"] == ["remark"] * len(runs)
 
 
-@pytest.mark.parametrize("frequency", [50.0, pytest.param(60.02, marks=pytest.mark.slow), 119.96])
+@pytest.mark.parametrize("frequency", [50.0, *(pytest.param(hum, marks=pytest.mark.slow) for hum in (60.02, 119.96))])
 def test_a_strong_hum_in_slow_sampling_is_no_noise(frequency):
     phases = enumerate(recorded(rate=200))
     runs = [replace(run, force=run.force + 34.0 * np.cos(2 * np.pi * frequency * run.time + phase)) for phase, run in phases]

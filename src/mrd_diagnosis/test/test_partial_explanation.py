@@ -147,7 +147,7 @@ def sines(play, seed=3, rate=250.0, fine=8):
     return recorded
 
 
-@pytest.mark.parametrize(("play", "named"), [(6e-4, True), (0.0, False)])
+@pytest.mark.parametrize(("play", "named"), [(6e-4, True), pytest.param(0.0, False, marks=pytest.mark.slow)])
 def test_at_one_speed_a_cause_is_named_beside_a_wrong_form(play, named):
     """A play, of a joint or of the drive: these sines do not tell which."""
     diagnosis = diagnose(sines(play), "bouc_wen", effects=(*CANDIDATES, "channel_delay", "joint_play", "backlash"))

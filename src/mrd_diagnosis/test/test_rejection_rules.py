@@ -168,10 +168,10 @@ def test_the_documentation_has_the_rules():
 @pytest.mark.parametrize(
     ("channel", "rate", "samples", "limited"),
     [
-        ("position_m", 250, 5, (0, 1, 2, 3)),
+        pytest.param("position_m", 250, 5, (0, 1, 2, 3), marks=pytest.mark.slow),
         ("force_N", 250, 5, (0, 1, 2, 3)),
-        ("force_N", 500, 5, (0, 2)),
-        ("current_A", 250, 5, (1,)),
+        pytest.param("force_N", 500, 5, (0, 2), marks=pytest.mark.slow),
+        pytest.param("current_A", 250, 5, (1,), marks=pytest.mark.slow),
     ],
 )
 def test_readings_that_are_held_are_the_answer_and_no_cause(channel, rate, samples, limited):
@@ -208,6 +208,7 @@ def test_a_delay_is_not_named_where_the_clocks_are_not_known_to_agree():
     assert clock_finding(doubtful[:1], runs) == clock_finding(doubtful[:1])
 
 
+@pytest.mark.slow
 def test_runs_before_a_change_do_not_show_that_an_effect_is_more_than_a_limitation_of_all_others():
     after = [held(run, "position_m", 5) for run in recorded({})]
     diagnosis = diagnose(after, "bouc_wen", reference=recorded({}, seed=50), effects=FEW)
@@ -235,6 +236,7 @@ def test_a_size_beyond_its_range_is_seen_and_not_named(monkeypatch):
     assert "channel_delay" in correction_of_report(to_json(diagnosis), "gap.json", anyway=True).effects
 
 
+@pytest.mark.slow
 def test_an_effect_that_closes_the_gap_with_any_size_is_seen_and_not_named(monkeypatch):
     runs = recorded({"channel_delay": {"delay": 0.012}})
     estimate = causes.effect_parameters

@@ -99,7 +99,7 @@ def test_good_runs_have_a_summary_only(good):
     assert "7 runs" in findings[0].text
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(
     st.sets(st.sampled_from(sorted(EXPERIMENTS)), min_size=1, max_size=4),
     st.sampled_from([25.0, 100.0, 500.0, 1000.0]),

@@ -40,7 +40,7 @@ EXPERIMENTS = {
     "sine": ("{waveform: sine, amplitude_mm: 8, frequency_hz: 2}", "{waveform: constant, level_mA: 150}"),
 }
 RICH = ("multisine", "chirp")
-examples = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+examples = settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @cache
@@ -62,7 +62,7 @@ def findings_about(run: Run, kind: str) -> dict[str, str]:
 # ---- Recordings as they were
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(
     st.sampled_from(sorted(EXPERIMENTS)),
     st.sampled_from([25.0, 200.0, 500.0, 1000.0]),

@@ -12,7 +12,10 @@ from typing import Any
 from numba import njit
 from numba.extending import overload, register_jitable
 
+from mrd_base.kernel_cache import write_one_at_a_time
 from mrd_sim.dual_type import DualType, chained
+
+write_one_at_a_time()
 
 
 def _lift(function: Callable[[float], float], derivative: Callable[[float, float], float]) -> Callable[[Any], Any]:

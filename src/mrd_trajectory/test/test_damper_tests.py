@@ -69,7 +69,7 @@ def benches(draw: st.DrawFn) -> GeneratorSettings:
 
 
 @pytest.mark.parametrize("test", DAMPER_TESTS)
-@settings(max_examples=15)  # a plan of many turns takes a tenth of a second
+@settings(max_examples=5)  # a plan of many turns takes a tenth of a second
 @given(bench=benches())
 def test_what_a_test_chooses_keeps_the_limits_of_any_bench(test: str, bench: GeneratorSettings) -> None:
     step = DAMPER_TESTS[test](name="t", **REQUIRED.get(test, {}))

@@ -121,7 +121,7 @@ COILS = st.one_of(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(
     rod=RODS,
     coil=COILS,

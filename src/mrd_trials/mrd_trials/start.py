@@ -1,7 +1,6 @@
 """Where a recording begins: at rest, or in mid-motion as most recordings of laboratories do."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -22,18 +21,4 @@ def begin_later(runs: Sequence[Run], seed: int | None) -> list[Run]:
     if seed is None:
         return list(runs)
     cuts = np.random.default_rng(seed).uniform(*CUT, size=len(runs))
-    return [_without_start(run, float(cut)) for run, cut in zip(runs, cuts, strict=True)]
-
-
-def _without_start(run: Run, seconds: float) -> Run:
-    first = int(np.searchsorted(run.time, min(seconds, LARGEST_SHARE * run.duration)))
-    return replace(
-        run,
-        time=run.time[first:] - run.time[first],
-        position=run.position[first:],
-        velocity=run.velocity[first:],
-        current=run.current[first:],
-        force=run.force[first:],
-        acceleration=None if run.acceleration is None else run.acceleration[first:],
-        temperature=None if run.temperature is None else run.temperature[first:],
-    )
+    return [run.without_start(min(float(cut), LARGEST_SHARE * run.duration)) for run, cut in zip(runs, cuts, strict=True)]

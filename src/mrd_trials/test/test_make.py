@@ -92,6 +92,7 @@ def test_an_undetectable_effect_of_a_pair_is_substituted():
     assert truth.signal_to_floor > 3.0
 
 
+@pytest.mark.slow
 def test_effects_beside_a_black_box_are_as_strong_over_its_own_noise_as_their_target():
     design = PlantDesign("p0001", "single", parse_tier("black_box@100"), (5, 1), "dahl", ("force_sensor_lag",), (5.0,))
     truth, runs, simulated = make_plant(design)

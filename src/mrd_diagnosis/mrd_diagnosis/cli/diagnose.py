@@ -28,6 +28,7 @@ from mrd_identification.preflight.finding import Finding
 from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator, parse_free
+from mrd_sim.compile_ahead import compile_beside
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
 from mrd_sim.models import MODELS, find_model
@@ -39,6 +40,7 @@ MOST_ROWS = 8
 
 def main() -> None:
     """Entry point of ``ros2 run mrd_diagnosis diagnose``."""
+    compile_beside()
     run_tool(work)
 
 

@@ -14,6 +14,10 @@ import math
 import numpy as np
 from numba import njit
 
+from mrd_base.kernel_cache import write_one_at_a_time
+
+write_one_at_a_time()
+
 
 @njit(cache=True, nogil=True)
 def _initial_covariance(order, density):  # type: ignore[no-untyped-def]
