@@ -14,7 +14,7 @@ AFTER = 1.0
 class _Stopwatch(Listener):
     """Calls a function once, after so much compiling. Events nest, as functions compile the functions that they call."""
 
-    def __init__(self, call: Callable[[], None], after: float) -> None:
+    def __init__(self, call: Callable[[], object], after: float) -> None:
         self._call, self._left, self._depth, self._begun = call, after, 0, 0.0
 
     def on_start(self, event: Event) -> None:
@@ -32,7 +32,7 @@ class _Stopwatch(Listener):
             self._left -= spent
 
 
-def when_compiling(call: Callable[[], None], after: float = AFTER) -> None:
+def when_compiling(call: Callable[[], object], after: float = AFTER) -> None:
     """Call a function, once, when this process has compiled functions for more than ``after`` s."""
     register("numba:compile", _Stopwatch(call, after))
 

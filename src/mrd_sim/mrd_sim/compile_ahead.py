@@ -26,14 +26,15 @@ def compile_beside() -> None:
 
 
 @cache
-def _start() -> None:
+def _start() -> "subprocess.Popen[bytes] | None":
     with contextlib.suppress(OSError):  # without it, the work takes longer, and is the same
-        subprocess.Popen(
+        return subprocess.Popen(
             ending_with_parent([sys.executable, "-m", "mrd_sim.compile_ahead"]),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
+    return None
 
 
 def compile_ahead() -> None:
