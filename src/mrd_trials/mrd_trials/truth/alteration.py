@@ -150,6 +150,8 @@ def alter(
         raise ValueError(f"effect {wrong[0]}: cannot be put into a recording, expected one of {', '.join(ALTERATIONS)}")
     p = plant_values("bouc_wen", {}, effects, formulas)
     preload = float(np.mean(np.concatenate([run.force for run in runs])))
+    # A transducer is mounted so that it reads zero in the middle of the motion, wherever the zero of the recordings is.
+    middle = float(np.mean([extreme for run in runs for extreme in (run.position.min(), run.position.max())]))
     slow, clock, altered = rested_state(), 0.0, []
     for run in runs:
         step = float((run.time[-1] - run.time[0]) / (len(run.time) - 1))
@@ -165,7 +167,8 @@ def alter(
         force = force_channel(p, force, position, run.current[recorded], clock, time, step)
         force = force + hum(p, time, rng.random())
         current = current_reading(p, clock + time, run.current[recorded])
-        altered.append(AlteredRun(time, transducer_reading(p, sticking_reading(p, position)), current, force, recorded))
+        shown = transducer_reading(p, sticking_reading(p, position) - middle) + middle
+        altered.append(AlteredRun(time, shown, current, force, recorded))
         clock += time[-1] + REST
         store_heat(p, slow[: FLUID_HEAT + 1], 0.0, REST)
     return altered
