@@ -218,6 +218,18 @@ def _plays_at_rest(p: PlantValues, force: float) -> tuple[float, float]:
 
 
 @njit(nogil=True)
+def _plays_after(p: PlantValues, plays: tuple[float, float], force: float, step: float) -> tuple[float, float]:
+    """Return where drive and joint lie in their plays after a step under a force."""
+    return backlash_offset(p, plays[0], force, step), joint_offset(p, plays[1], force, step)
+
+
+@njit(nogil=True)
+def _moved(plays: tuple[float, float], after: tuple[float, float]) -> float:
+    """Return by how much drive and joint have moved together."""
+    return after[0] - plays[0] + after[1] - plays[1]
+
+
+@njit(nogil=True)
 def _crossings(
     p: PlantValues, position: Array, velocity: Array, acceleration: Array, force: Array, step: float
 ) -> tuple[NDArray[np.intp], Array]:
@@ -236,31 +248,26 @@ def _crossings(
     """
     before, crossing = [0 for _ in range(0)], [0.0 for _ in range(0)]
     play = p.backlash_play + p.joint_play_play
-    drive, joint = _plays_at_rest(p, force[0])
-    drive, joint = backlash_offset(p, drive, force[0], step), joint_offset(p, joint, force[0], step)
+    plays = _plays_after(p, _plays_at_rest(p, force[0]), force[0], step)
     slowest, largest = SLOWEST_CROSSING * np.abs(velocity).max(), np.abs(force).max()
     for i in range(1, len(force)):
         speed = max(abs(velocity[i]), math.sqrt(0.5 * abs(acceleration[i]) * play), slowest)
-        next_drive = backlash_offset(p, drive, force[i], step)
-        next_joint = joint_offset(p, joint, force[i], step)
-        while speed > 0.0 and abs(next_drive - drive + next_joint - joint) > speed * step:
-            forward = next_drive + next_joint > drive + joint
+        moved = _moved(plays, _plays_after(p, plays, force[i], step))
+        while speed > 0.0 and abs(moved) > speed * step:
+            forward = moved > 0.0
             weak, strong = (-largest, force[i]) if forward else (largest, force[i])
             for _ in range(50):
                 middle = 0.5 * (weak + strong)
-                next_drive = backlash_offset(p, drive, middle, step)
-                next_joint = joint_offset(p, joint, middle, step)
-                moved = next_drive - drive + next_joint - joint
+                moved = _moved(plays, _plays_after(p, plays, middle, step))
                 if (moved if forward else -moved) > speed * step:
                     strong = middle
                 else:
                     weak = middle
-            drive, joint = backlash_offset(p, drive, strong, step), joint_offset(p, joint, strong, step)
+            plays = _plays_after(p, plays, strong, step)
             before.append(i)
             crossing.append(strong)
-            next_drive = backlash_offset(p, drive, force[i], step)
-            next_joint = joint_offset(p, joint, force[i], step)
-        drive, joint = next_drive, next_joint
+            moved = _moved(plays, _plays_after(p, plays, force[i], step))
+        plays = _plays_after(p, plays, force[i], step)
     return np.array(before, dtype=np.intp), np.array(crossing, dtype=np.float64)
 
 
@@ -268,12 +275,12 @@ def _crossings(
 def _elongations(p: PlantValues, force: Array, step: float) -> Array:
     """Return by how much everything in series with the damper is longer under its force."""
     elongation = np.empty_like(force)
-    drive, joint = _plays_at_rest(p, force[0])
+    plays = _plays_at_rest(p, force[0])
     mount = series_elongation(p, 0.0, force[0], AT_REST)
     for i in range(len(force)):
-        drive, joint = backlash_offset(p, drive, force[i], step), joint_offset(p, joint, force[i], step)
+        plays = _plays_after(p, plays, force[i], step)
         mount = series_elongation(p, mount, force[i], step)
-        elongation[i] = drive + joint + mount + bubble_compression(p, force[i])
+        elongation[i] = plays[0] + plays[1] + mount + bubble_compression(p, force[i])
     return elongation
 
 
