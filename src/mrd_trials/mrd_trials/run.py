@@ -8,9 +8,18 @@ from mrd_base import InputError
 from mrd_base.progress import ignore
 from mrd_diagnosis import diagnose
 from mrd_identification.cluster import run_on_cluster
+from mrd_runs import Run
 from mrd_trials.parallel import run_in_processes
 from mrd_trials.records import Submission, complete_records, read_records
-from mrd_trials.submission import Diagnoser, Method, check_comparison, diagnose_plant, installed_diagnoser, reserve_folder
+from mrd_trials.submission import (
+    Diagnoser,
+    Method,
+    check_comparison,
+    diagnose_plant,
+    failed_submission,
+    installed_diagnoser,
+    reserve_folder,
+)
 from mrd_trials.trial_folder import PublicPlant, read_given_runs, read_reference_runs, read_trial
 
 VERDICTS_FILE = "verdicts.jsonl"
@@ -66,18 +75,14 @@ def run_trial(
             yield from run_in_processes(_diagnose_files, arguments, workers)
             return
         for first in range(0, len(names), PORTION):
-            portion = [plants[name] for name in names[first : first + PORTION]]
-            pieces = [
-                (
-                    plant,
-                    tuple(read_given_runs(folder, plant)),
-                    diagnoser.seed,
-                    (),
-                    tuple(read_reference_runs(folder, plant)),
-                    method,
-                )
-                for plant in portion
-            ]
+            pieces = []
+            for plant in (plants[name] for name in names[first : first + PORTION]):
+                read = _read_recordings(folder, plant)
+                if isinstance(read, Submission):
+                    yield read
+                else:
+                    runs, reference = read
+                    pieces.append((plant, tuple(runs), diagnoser.seed, (), tuple(reference), method))
             yield from run_on_cluster(scheduler, diagnose_plant, pieces)
 
     return complete_records(Submission, output / VERDICTS_FILE, list(plants), work, progress)
@@ -101,5 +106,16 @@ def read_verdicts(path: Path, plants: Iterable[PublicPlant]) -> dict[str, Submis
 
 
 def _diagnose_files(folder: Path, plant: PublicPlant, seed: int, method: Method) -> Submission:
-    reference = read_reference_runs(folder, plant)
-    return diagnose_plant(plant, read_given_runs(folder, plant), seed, reference=reference, method=method)
+    read = _read_recordings(folder, plant)
+    if isinstance(read, Submission):
+        return read
+    runs, reference = read
+    return diagnose_plant(plant, runs, seed, reference=reference, method=method)
+
+
+def _read_recordings(folder: Path, plant: PublicPlant) -> tuple[list[Run], list[Run]] | Submission:
+    """Return the recordings of a plant and its reference, or the failure of a plant whose recordings are refused."""
+    try:
+        return read_given_runs(folder, plant), read_reference_runs(folder, plant)
+    except InputError as error:
+        return failed_submission(plant, error)

@@ -114,10 +114,14 @@ def diagnose_plant(
             runs, BEST_MODEL if is_black_box else plant.model, effects=effects, bench=plant.size.bench, seed=seed, **compared
         )
     except Exception as error:  # every error counts as a failure of the diagnosis
-        text = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        elapsed = time.monotonic() - start
-        return Submission(plant.plant, "failed", failure=text, elapsed=elapsed, commitment=plant.commitment)
+        return failed_submission(plant, error, time.monotonic() - start)
     return submission_of(plant, diagnosis)
+
+
+def failed_submission(plant: PublicPlant, error: Exception, elapsed: float = 0.0) -> Submission:
+    """Return what is stored of a plant that could not be diagnosed within ``elapsed`` seconds."""
+    text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return Submission(plant.plant, "failed", failure=text, elapsed=elapsed, commitment=plant.commitment)
 
 
 def check_comparison(plants: Iterable[PublicPlant], method: Method) -> None:

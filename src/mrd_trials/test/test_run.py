@@ -1,5 +1,6 @@
 """Diagnosing a trial: continued, on a cluster, by one diagnoser."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 from distributed import LocalCluster
 
 from mrd_base import InputError
+from mrd_trials import run
 from mrd_trials.bench_session import as_run
 from mrd_trials.cli.score import work
 from mrd_trials.evaluate import DiagnosedPlant, evaluate_plant
@@ -121,6 +123,22 @@ def test_an_error_is_a_failed_submission(trial):
     assert submission.verdict == "failed"
     assert submission.failure.startswith("InputError: ")
     assert submission.commitment == plant.commitment
+
+
+@pytest.mark.parametrize("scheduler", ["", "tcp://nobody:1"])
+def test_recordings_that_are_refused_fail_their_plant_alone(trial, tmp_path, monkeypatch, scheduler):
+    copy = tmp_path / "trial"
+    shutil.copytree(trial, copy)
+    broken, other = read_trial(copy).plants
+    (copy / broken.runs[0]).write_text("time_s,position_m,current_A,force_N\n0,0,0,0\n", encoding="utf-8")
+    monkeypatch.setattr(run, "run_on_cluster", lambda _, work, pieces: [work(*piece) for piece in pieces])
+    submissions = run_trial(copy, tmp_path / "verdicts", DIAGNOSER, method=refuse_nothing, scheduler=scheduler)
+    assert submissions[broken.plant].failure.startswith(f"InputError: {copy / broken.runs[0]}")
+    assert submissions[other.plant].failure == "RuntimeError: 2 runs were read"
+
+
+def refuse_nothing(runs, model, *, effects, bench, seed, reference=(), simulator=None):
+    raise RuntimeError(f"{len(runs)} runs were read")
 
 
 def test_a_failed_diagnosis_is_not_repeated_by_the_evaluation():
