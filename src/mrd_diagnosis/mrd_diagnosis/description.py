@@ -72,6 +72,7 @@ def describe(
         progress("locating the gap", 0.93)
     location = _locate(closure, verdict, rng)
     is_open = has_gap and not (verdict == "explained" or (verdict == "ambiguous" and bool(conclusion.causes)))
+    harmful = {entry.effect for entry in conclusion.rejected if entry.rule == "worse"}
     models = list_alternative_models(comparison, fitted.other_models, rng) if is_open else ()
     if has_gap:
         progress("designing the next experiment", 0.96)
@@ -96,7 +97,7 @@ def describe(
         rejected=reject_others(conclusion, listed, models, findings, clock_finding(request.runs, request.reference)),
         weighed=explanation.weighed,
         alternatives=list_alternatives(comparison, probabilities) if verdict not in ("no_gap", "unknown_effect") else (),
-        nearest=_nearest(comparison, listed) if is_open else None,
+        nearest=_nearest(comparison, [c for c in listed if harmful.isdisjoint(c.effects)]) if is_open else None,
         candidates=listed,
         untestable=without_evidence,
         alternative_models=models,

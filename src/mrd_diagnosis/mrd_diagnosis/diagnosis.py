@@ -210,7 +210,7 @@ class Cause:
         What the recordings determine: the effect itself, the class of effects that look alike in them, only the stage of the
         bench in which it acts, or nothing. What is undecided is not named.
     members : tuple of Member
-        The class: this effect and those that imitate it, the most probable first; only this one where it is determined.
+        The class: this effect and those that imitate it, the most probable first; also where this one is named by itself.
     plausible : tuple of str
         Effects among which the cause is in nine of ten cases, likeliest first, if something is wrong in this place; see
         `mrd_diagnosis.decision.presence.plausible_set`.

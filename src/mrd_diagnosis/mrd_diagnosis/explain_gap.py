@@ -65,7 +65,9 @@ def explain_gap(
         progress("trying other damper models", 0.45)
         excess = comparison.best.chi_square - 1.0
         other_models = fit_alternative_models(comparison.weighting, comparison.base, excess, rng)
-        comparison, complete = (compared.with_alternative_models(other_models) for compared in (comparison, complete))
+        is_complete = complete is comparison
+        comparison = comparison.with_alternative_models(other_models)
+        complete = comparison if is_complete else complete.with_alternative_models(other_models)
         probabilities = probabilities_of_alternatives(comparison, rng)
         verdict = verdict_on_gap(complete, base.chi_square, probabilities, p_values, rng)
     explanation = Explanation(verdict, comparison, probabilities, p_values)
@@ -84,5 +86,6 @@ def explain_gap(
             rng,
             lambda fraction: progress("looking for causes beside a wrong form", 0.5 + 0.5 * fraction),
         )
-        complete = in_loop(compare_on_all_samples(explanation.comparison, rng))
+        if explanation.comparison is not comparison:
+            complete = in_loop(compare_on_all_samples(explanation.comparison, rng))
     return FittedExplanation(explanation, complete, singles, null_gains, other_models)

@@ -24,6 +24,7 @@ from mrd_diagnosis.recordings.imitating_limitations import clock_finding, imitat
 from mrd_diagnosis.report.gap_file import to_json
 from mrd_diagnosis.report.sentences import next_command, next_step
 from mrd_diagnosis.search.effect_search import refit_with_effects
+from mrd_diagnosis.search.model_comparison import ModelComparison
 from mrd_identification.correction import correction_of_report
 from mrd_runs.validation import make_run
 from mrd_sim.damper import Damper
@@ -306,10 +307,11 @@ def test_the_rules_are_asked_again_when_what_remains_was_fitted_without_the_reje
         return tuple(sizes[effect] for effect in effects)
 
     def chosen(effects):
-        return SimpleNamespace(effects=tuple(effects), weighting=None, base=None, best=None)
+        alternatives = {effect: {} for effect in effects}
+        return SimpleNamespace(effects=tuple(effects), alternatives=alternatives, weighting=None, base=None, best=None)
 
     monkeypatch.setattr(conclusion, "name_causes", causes_of)
-    monkeypatch.setattr(conclusion, "harmful_effects", lambda *_: ())
+    monkeypatch.setattr(conclusion, "harmful_effects", lambda *_: ((), {}))
     monkeypatch.setattr(conclusion, "closed_fraction_between", lambda *_: Interval(0.6, 0.5, 0.7))
     monkeypatch.setattr(conclusion, "refit_on", lambda *_: None)
     monkeypatch.setattr(conclusion, "refit_without", lambda *_: None)
@@ -327,9 +329,12 @@ def test_the_rules_are_asked_again_when_what_remains_was_fitted_without_the_reje
 def test_what_predicts_each_run_worse_from_the_others_is_no_cause():
     """Although segments of the runs are predicted better: an end stop had been moved between the runs."""
     cause = Cause("end_stop", 0.6, 1e-3, Interval(0.4, 0.2, 0.6), {})
-    explanation = Explanation("partly_explained", None, {"end_stop": {"end_stop": 0.6}}, {"end_stop": 1e-3})
-    found = worse_by_runs(Conclusion(explanation, None, (cause,)))
+    comparison = ModelComparison(None, None, (None,), ("end_stop",), {"end_stop": {}})
+    explanation = Explanation("partly_explained", comparison, {"end_stop": {"end_stop": 0.6}}, {"end_stop": 1e-3})
+    found = worse_by_runs(Conclusion(explanation, comparison, (cause,)))
     assert (found.causes, found.explanation.verdict) == ((), "unknown_effect")
+    # The corrected simulator is the model that predicts better.
+    assert found.complete.effects == found.explanation.comparison.effects == ()
     assert [(entry.effect, entry.rule, entry.chosen) for entry in found.rejected] == [("end_stop", "worse", True)]
-    limited = worse_by_runs(Conclusion(explanation, None, (cause,), limitations=(HELD,)))
+    limited = worse_by_runs(Conclusion(explanation, comparison, (cause,), limitations=(HELD,)))
     assert limited.explanation.verdict == "data_fault"

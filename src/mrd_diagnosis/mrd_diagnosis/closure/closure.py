@@ -82,9 +82,11 @@ def compute_closure(
     # A common remainder predicts parts of a run from its other parts, not a whole run from others.
     always = len(recordings) == 1 or any(recording.without_effects for recording in recordings)
     by_folds = [always or bool(excess) or run in sole_sources for run, excess in enumerate(excesses)]
-    before, after = (_leave_out(refit, comparison, by_folds) for refit in (comparison.base, comparison.best))
     best = comparison.best
     changed = [run for run, recording in enumerate(recordings) if not recording.without_effects]
+    # A fit without a run costs as much as the joint one, so only where its figures are used.
+    alone = [run for run in changed if not by_folds[run] or (excesses[run] and not held_out and comparison.effects)]
+    before, after = (_leave_out(refit, comparison, alone, by_folds) for refit in (comparison.base, best))
     noise = comparison.weighting.noise
     residuals = [
         _run_residual(
@@ -97,7 +99,7 @@ def compute_closure(
     counted = tuple(set_aside or residuals)
     squares_before, squares_after, squares_noise, samples, draws = _bootstrap_units(counted, rng)
     variance = float(np.var(np.concatenate([residual.recording.force for residual in counted])))
-    if set_aside:
+    if set_aside or not comparison.effects:
         beyond = [residual for residual in set_aside if residual.extrapolates]
     else:
         beyond = [
@@ -181,28 +183,29 @@ class _HeldOutErrors:
 
     Attributes
     ----------
-    by_other_runs : list of ndarray
-        With parameters that were fitted without the run.
-    known : list of ndarray
+    by_other_runs : dict
+        With parameters that were fitted without the run, by run, where they were.
+    known : dict
         The same; where the run exceeds the others, with parameters that were fitted without the fold instead.
     """
 
-    by_other_runs: list[Array]
-    known: list[Array]
+    by_other_runs: dict[int, Array]
+    known: dict[int, Array]
 
 
-def _leave_out(refit: Refit, comparison: ModelComparison, by_folds: Sequence[bool]) -> _HeldOutErrors:
-    problem, runs = refit.problem, range(len(by_folds))
-    fits = _without_each_run(refit, comparison) if len(by_folds) > 1 else [(refit.theta, refit.coefficients)]
-    by_other_runs = [-error_of_run(problem, theta, run, rest).newtons for run, (theta, rest) in zip(runs, fits, strict=True)]
+def _leave_out(refit: Refit, comparison: ModelComparison, alone: Sequence[int], by_folds: Sequence[bool]) -> _HeldOutErrors:
+    """Return the errors of runs that are left out ``alone``, and of those whose folds are left out in turn."""
+    problem = refit.problem
+    fits = _without_each_run(refit, comparison, alone)
+    by_other_runs = {
+        run: -error_of_run(problem, theta, run, rest).newtons for run, (theta, rest) in zip(alone, fits, strict=True)
+    }
     thetas, coefficients = without_each(
         problem, problem.unit(refit.theta), refit.coefficients, refit.normal_matrices, refit.gradients
     )
-    known = list(by_other_runs)
-    for run in runs:
-        if not by_folds[run]:
-            continue
-        known[run] = np.empty_like(by_other_runs[run])
+    known = dict(by_other_runs)
+    for run in map(int, np.flatnonzero(by_folds)):
+        known[run] = np.empty(problem.blocks[run].stop - problem.blocks[run].start)
         for (run_of_fold, fold), theta, rest in zip(comparison.weighting.folds, thetas, coefficients, strict=True):
             if run_of_fold == run:
                 samples = slice(fold.start - problem.blocks[run].start, fold.stop - problem.blocks[run].start)
@@ -210,11 +213,12 @@ def _leave_out(refit: Refit, comparison: ModelComparison, by_folds: Sequence[boo
     return _HeldOutErrors(by_other_runs, known)
 
 
-def _without_each_run(refit: Refit, comparison: ModelComparison) -> list[tuple[Array, Array]]:
-    """Fit parameters and coefficients of the remainder without each run, starting one step from the joint optimum."""
+def _without_each_run(refit: Refit, comparison: ModelComparison, runs: Sequence[int]) -> list[tuple[Array, Array]]:
+    """Fit parameters and coefficients of the remainder without each of some runs, from one step off the joint optimum."""
+    if not runs:
+        return []
     problem = refit.problem
     run_of_fold = np.array([run for run, _ in comparison.weighting.folds])
-    runs = range(len(comparison.weighting.recordings))
     matrices = np.stack([refit.normal_matrices[run_of_fold == run].sum(axis=0) for run in runs])
     gradients = np.stack([refit.gradients[run_of_fold == run].sum(axis=0) for run in runs])
     starts, _ = without_each(problem, problem.unit(refit.theta), refit.coefficients, matrices, gradients)
@@ -223,11 +227,11 @@ def _without_each_run(refit: Refit, comparison: ModelComparison) -> list[tuple[A
         weightless = problem.whitenings[run].without_weight()
         others = replace(problem, whitenings=(*problem.whitenings[:run], weightless, *problem.whitenings[run + 1 :]))
         free = np.arange(len(problem.free))
-        unit, _ = levenberg_marquardt(others, problem.unit(starts[run]), free, 10, 1e-4, renewal=4)
+        unit, _ = levenberg_marquardt(others, problem.unit(starts[runs.index(run)]), free, 10, 1e-4, renewal=4)
         theta = problem.theta(unit)
         return theta, others.coefficients(theta)
 
-    return in_threads(fit_without, list(runs))
+    return in_threads(fit_without, runs)
 
 
 def _run_residual(

@@ -17,7 +17,7 @@ from mrd_diagnosis.search.model_comparison import NO_EFFECT, ModelComparison
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.wording.effect_names import parameters_of_effect
 from mrd_identification.parallel import in_threads
-from mrd_sim.effects import EFFECTS
+from mrd_sim.effects import find_effects
 
 
 def list_alternatives(comparison: ModelComparison, probabilities: Probabilities) -> tuple[Alternative, ...]:
@@ -52,9 +52,9 @@ def list_candidates(
     """
     variance = _force_variance(comparison)
     ranked = sorted(singles, key=lambda fit: fit.refit.held_out_cost)
-    needed = max(
-        THRESHOLDS.least_gain * comparison.weighting.samples, float(np.quantile(null_gains.gains, 1.0 - THRESHOLDS.p_value))
-    )
+    # The effects by themselves have the weighting of the search.
+    noise_cost = ranked[0].refit.problem.noise_cost if ranked else 0.0
+    needed = max(THRESHOLDS.least_gain * noise_cost, float(np.quantile(null_gains.gains, 1.0 - THRESHOLDS.p_value)))
     lead_gain = ranked[0].held_out_gain if ranked else 0.0
     only = comparison.effects[0] if len(comparison.effects) == 1 else None
     probabilities_of_lead = probabilities[only] if only else {}
@@ -99,7 +99,8 @@ def _detectable(comparison: ModelComparison, effects: Sequence[str]) -> dict[str
     for detectability in detectable_sizes(weighting, LinearisedRefit.around(weighting, best), effects, threshold):
         effect, smallest = detectability.effect, ""
         if np.isfinite(detectability.smallest_size):
-            smallest = clause_of_size(EFFECTS[effect], detectability.smallest_size)
+            (scaled,) = find_effects([effect], best.problem.model.scales)
+            smallest = clause_of_size(scaled, detectability.smallest_size)
         described[effect] = smallest, detectability.remark
     return described
 

@@ -29,7 +29,9 @@ def name_causes(explanation: Explanation, rng: np.random.Generator) -> tuple[Cau
     causes = []
     for index, effect in enumerate(comparison.effects):
         robust = explanation.robust.get(effect)
+        own = {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")}
         members = robust.members if robust else class_of(effect, comparison.alternatives[effect], probabilities[effect])
+        members = tuple(replace(member, parameters=own) if member.effect == effect else member for member in members)
         step = (steps[index], steps[index + 1])
         closed = robust.closed_fraction if robust else closed_fraction_between(*step, comparison, rng)
         causes.append(
@@ -38,7 +40,7 @@ def name_causes(explanation: Explanation, rng: np.random.Generator) -> tuple[Cau
                 float(probabilities[effect][effect]),
                 explanation.p_values[effect],
                 closed,
-                {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")},
+                own,
                 level_of(effect, members, probabilities[effect], beside_wrong_form=robust is not None),
                 members,
                 plausible_set({name: probability for name, probability in probabilities[effect].items() if name in EFFECTS}),

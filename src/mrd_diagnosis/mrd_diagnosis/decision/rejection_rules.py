@@ -33,6 +33,8 @@ class Claim:
         Share that it closes beside the others of these, in the user's model.
     chosen : bool
         Whether it belongs to the best explanation.
+    comes_nearest : bool
+        Whether it belongs to what comes nearest to a gap that no effect of the catalogue explains.
     has_gap : bool
         Whether there is a gap beyond the noise.
     limitations : tuple of Finding
@@ -57,6 +59,7 @@ class Claim:
     closed_together: Interval = Interval(float("nan"))
     closed_beside: Interval = Interval(float("nan"))
     chosen: bool = True
+    comes_nearest: bool = False
     has_gap: bool = True
     limitations: tuple[Finding, ...] = ()
     clocks_agree: bool = True
@@ -165,6 +168,7 @@ RULES = (
         lambda claim: claim.level == "undecided",
         leaves_open=True,
     ),
+    Rule("unexplained", "too much of the gap stays open with it", lambda claim: claim.comes_nearest),
     Rule("other_effect", "something else explains the gap better", lambda claim: not claim.chosen),
 )
 """The rules in their order."""

@@ -148,9 +148,8 @@ def effect_parameters(refitted: Refit) -> dict[str, ParameterEstimate]:
             remark = ON_BOUND
         interval = Interval(float(refitted.theta[index]), float(lower), float(upper))
         estimates[parameter.name] = ParameterEstimate(interval, parameter.unit, remark)
-    usual = {f"{effect}.{p.name}": p.default for effect in refitted.effects for p in EFFECTS[effect].parameters}
     for parameter, value in zip(problem.model.parameters, refitted.theta, strict=True):
-        if "." in parameter.name and not parameter.free and value != usual[parameter.name]:
+        if "." in parameter.name and not parameter.free and value != parameter.default:
             estimates[parameter.name] = ParameterEstimate(Interval(float(value)), parameter.unit)
     return estimates
 

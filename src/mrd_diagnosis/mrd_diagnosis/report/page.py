@@ -63,6 +63,7 @@ from mrd_diagnosis.wording.quantities import (
 from mrd_identification.metrics import nrmse
 from mrd_identification.report import render
 from mrd_identification.run_panels import closer_look
+from mrd_runs.scales import Scales
 from mrd_sim.effects import EFFECTS
 from mrd_sim.parameter import Parameter
 
@@ -200,7 +201,13 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
         "most_candidates": figures.MOST_CANDIDATES,
         "negative": any(c.closed_fraction.value < -LEAST_SHOWN for c in ordered[: figures.MOST_CANDIDATES]),
         "causes": [
-            _effect_card(cause.effect, _cause_facts(diagnosis, cause, gap), cause.parameters, is_doubted(diagnosis, cause))
+            _effect_card(
+                cause.effect,
+                _cause_facts(diagnosis, cause, gap),
+                cause.parameters,
+                diagnosis.model.scales,
+                is_doubted(diagnosis, cause),
+            )
             for cause in diagnosis.causes
         ],
         "parameter_columns": [title for title, _ in _parameter_columns(diagnosis, corrected)],
@@ -423,13 +430,17 @@ def _nearest_cards(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     causes = {cause.effect for cause in diagnosis.causes}
     removes = "all effects together remove" if len(nearest.effects) > 1 else "removes"
     facts = f"{removes} {format_share(nearest.closed_fraction)} of the gap"
-    return [_effect_card(effect, facts, nearest.parameters) for effect in nearest.effects if effect not in causes]
+    return [
+        _effect_card(effect, facts, nearest.parameters, diagnosis.model.scales)
+        for effect in nearest.effects
+        if effect not in causes
+    ]
 
 
 def _effect_card(
-    effect: str, facts: str, parameters: Mapping[str, ParameterEstimate], doubtful: bool = False
+    effect: str, facts: str, parameters: Mapping[str, ParameterEstimate], scales: Scales, doubtful: bool = False
 ) -> dict[str, Any]:
-    catalogued = EFFECTS.get(effect)
+    catalogued = EFFECTS[effect].scaled(scales) if effect in EFFECTS else None
     clause = effect_clause(effect, parameters)
     declared = {parameter.name: parameter for parameter in catalogued.parameters} if catalogued else {}
     return {

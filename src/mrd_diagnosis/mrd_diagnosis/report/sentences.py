@@ -72,9 +72,13 @@ def fault_sentence(findings: Sequence[Finding]) -> str:
     return f"Data problem{f' ({place})' if place else ''}: {faults[0].text.rstrip('.')}.{more}"
 
 
+IMITATION_RULES = ("limitation", "clocks")
+"""Rules by which an effect is rejected because a limitation of the recordings can imitate it."""
+
+
 def imitation_note(rejected: Sequence[Rejected]) -> str:
     """Return which effects recordings seem to show that a limitation of these recordings can imitate."""
-    names = effect_names([entry.effect for entry in rejected])
+    names = effect_names([entry.effect for entry in rejected if entry.rule in IMITATION_RULES])
     return (
         f"These recordings look as if the model lacked {names}, but their limitation can imitate that. So no cause is named "
         "before it is mended; runs without it can be diagnosed by themselves."

@@ -9,6 +9,7 @@ from typing import Literal
 
 from mrd_base import InputError
 from mrd_base.progress import ignore
+from mrd_diagnosis.decision.rejection_rules import leaves_open
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
 from mrd_diagnosis.sequential.first_set import first_set
@@ -172,13 +173,15 @@ def diagnose_sequentially(
 def open_candidates(diagnosis: Diagnosis) -> dict[str, float]:
     """Return the probability of each effect that may be a cause after a diagnosis, the most probable first.
 
-    These are the causes, what looks like them, and the alternatives to them; what is less likely than
-    `Thresholds.listed_probability` is left out.
+    These are the causes, what looks like them, the alternatives to them, and what is seen but not determined; what is less
+    likely than `Thresholds.listed_probability` is left out.
     """
     found: dict[str, float] = {}
     entries = [(cause.effect, cause.probability) for cause in diagnosis.causes]
     entries += [(member.effect, member.probability) for cause in diagnosis.causes for member in cause.members]
     entries += [(alternative.effect, alternative.probability) for alternative in diagnosis.alternatives]
+    seen = [entry for entry in diagnosis.rejected if entry.chosen and leaves_open(entry.rule)]
+    entries += [(entry.effect, entry.probability) for entry in seen]
     for effect, probability in entries:
         if probability >= THRESHOLDS.listed_probability:
             found[effect] = max(probability, found.get(effect, 0.0))

@@ -17,7 +17,7 @@ from mrd_diagnosis.evidence.cause_class import class_of
 from mrd_diagnosis.evidence.evidence import FitsOfEffect, measure_evidence
 from mrd_diagnosis.fitting.base_fit import LinearisedRefit
 from mrd_diagnosis.fitting.refit import Refit, refit_on
-from mrd_diagnosis.fitting.statistics import effect_parameters, model_probabilities
+from mrd_diagnosis.fitting.statistics import LEAST_GAP, effect_parameters, model_probabilities
 from mrd_diagnosis.fitting.weighting import Weighting
 from mrd_diagnosis.recordings.limitations import contains
 from mrd_diagnosis.search.effect_search import BEST_SCORES, MOST_CAUSES, ROUGHLY_CONVERGED, EffectFit, refit_with_effects
@@ -209,7 +209,7 @@ def _search(
     """
     weighting = weighting.updated(form.problem.model, form.theta)
     best = refit_on(weighting, form)
-    gap = best.held_out_cost - weighting.noise_cost
+    gap = left = best.held_out_cost - weighting.noise_cost
     chosen: dict[str, Refit] = {}
     singles: list[EffectFit] = []
     while len(chosen) < MOST_CAUSES:
@@ -234,9 +234,10 @@ def _search(
             break
         chosen[lead.effects[-1]] = lead.refit
         weighting = weighting.updated(lead.refit.problem.model, lead.refit.theta)
-        before, best = gap, refit_on(weighting, lead.refit)
+        before, best = left - lead.held_out_gain, refit_on(weighting, lead.refit)
+        left = best.held_out_cost - weighting.noise_cost
         # The weighting tells more the less is missing; the share is that of the gap as it was.
-        gap = (best.held_out_cost - weighting.noise_cost) * before / max(before - lead.held_out_gain, 1e-9)
+        gap *= left / max(before, LEAST_GAP)
     return chosen, singles, weighting
 
 
