@@ -1,18 +1,29 @@
 """Detectable sizes of effects, on planned runs of which everything is known."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.evidence.detectability import detectable_sizes, largest_size, scaled_effect, simulate_base_fit
+from mrd_diagnosis.decision import candidates
+from mrd_diagnosis.evidence.detectability import (
+    Detectability,
+    detectable_sizes,
+    largest_size,
+    scaled_effect,
+    simulate_base_fit,
+)
 from mrd_diagnosis.fitting.base_fit import with_effect
 from mrd_diagnosis.fitting.refit import refit
 from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.wording.quantities import format_quantity
 from mrd_identification.recording import prepare_recording
+from mrd_runs.scales import REFERENCE
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
+from mrd_sim.models import find_model
 from mrd_sim.simulate import measure_plans
 from mrd_trajectory.experiment import parse_experiment
 from mrd_trajectory.force import ForceEnvelope
@@ -118,3 +129,17 @@ def test_an_effect_with_which_the_model_diverges_shows(base_fit_of_plans, monkey
     (detectability,) = detectable_sizes(*base_fit_of_plans, ["moving_mass"])
     assert detectability.remark == ""
     assert detectability.information.sum() == pytest.approx(1.0)
+
+
+def test_the_smallest_detectable_size_is_said_in_the_scale_of_its_damper(monkeypatch):
+    """A mass that is too large for a small damper is an ordinary one of a press."""
+    press = replace(REFERENCE, force=20.0 * REFERENCE.force)
+    size = 1.5 * EFFECTS["moving_mass"].parameters[0].upper
+    model = find_model("bouc_wen", scales=press)
+    comparison = SimpleNamespace(weighting=None, base=None, best=SimpleNamespace(problem=SimpleNamespace(model=model)))
+    found = [Detectability("moving_mass", size, 1.0, np.ones(1))]
+    monkeypatch.setattr(candidates, "detectable_sizes", lambda *_: found)
+    monkeypatch.setattr(candidates, "detection_threshold", lambda *_: 1.0)
+    monkeypatch.setattr(candidates.LinearisedRefit, "around", lambda *_: None)
+    clause, _ = candidates._detectable(comparison, ["moving_mass"])["moving_mass"]
+    assert format_quantity(size, "kg") in clause

@@ -19,6 +19,7 @@ from mrd_diagnosis.search.alternative_models import fit_alternative_models
 from mrd_diagnosis.search.model_comparison import compare_on, with_effects
 from mrd_diagnosis.wrong_form import form_causes, partial_explanation
 from mrd_diagnosis.wrong_form.form_remainder import form_columns, form_effects, with_form_remainder
+from mrd_diagnosis.wrong_form.hypotheses import reweighted_gap
 from mrd_diagnosis.wrong_form.robustness import is_robust
 from mrd_diagnosis.wrong_form.stacking import stacking_weights
 from mrd_identification.recording import prepare_recording
@@ -409,3 +410,14 @@ def test_an_effect_with_another_formula_is_named_though_it_does_not_close_the_ga
     assert diagnosis.verdict == "partly_explained"
     assert [cause.effect for cause in diagnosis.causes] == [effect]
     assert 0.2 < diagnosis.gap.closed_fraction.value < 0.95
+
+
+@given(st.floats(1.0, 1e9), st.lists(st.tuples(st.floats(0.01, 0.9), st.floats(0.5, 5.0)), min_size=1, max_size=3))
+def test_shares_of_effects_beside_others_are_those_of_the_whole_gap(gap, steps):
+    """Each step closes a share of what is left, and then the weighting changes by a factor."""
+    reweighted, left, factors = gap, gap, 1.0
+    for share, factor in steps:
+        left_before = left * (1.0 - share)
+        left = left_before * factor
+        reweighted, factors = reweighted_gap(reweighted, left_before, left), factors * factor
+        assert reweighted == pytest.approx(gap * factors)

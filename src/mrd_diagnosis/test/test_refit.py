@@ -30,6 +30,7 @@ from mrd_diagnosis.search.model_comparison import NO_EFFECT, compare_models, com
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
+from mrd_runs.scales import REFERENCE
 from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import find_model
@@ -439,3 +440,14 @@ def test_an_error_that_noise_explains_is_no_gap(delayed):
 def test_explanations_that_close_nothing_make_no_infinite_quotients(gap: float, lead: float) -> None:
     assert certainty(lead, gap) == (0.5 if lead == 0 else float(lead > 0))
     assert tempering_of(1e6, gap) == 1.0
+
+
+def test_what_follows_from_the_scale_of_a_damper_is_no_parameter_that_differs_from_its_default():
+    scales = replace(REFERENCE, stroke=5.0 * REFERENCE.stroke)
+    model = find_model("bouc_wen", effects=["lvdt_nonlinearity"], scales=scales)
+    weighting = weighting_of([run(0)])
+    theta = model.vector({})
+    refitted = refit(weighting.problem(model, theta), theta, weighting.folds)
+    free = {p.name for p in model.parameters if "." in p.name and p.free}
+    assert free
+    assert effect_parameters(refitted).keys() == free

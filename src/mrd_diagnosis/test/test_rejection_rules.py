@@ -15,16 +15,27 @@ from hypothesis import strategies as st
 from mrd_base import InputError
 from mrd_diagnosis import diagnose
 from mrd_diagnosis.decision import causes, conclusion
-from mrd_diagnosis.decision.conclusion import Conclusion, worse_by_runs
+from mrd_diagnosis.decision.conclusion import Conclusion, reject_others, worse_by_runs
 from mrd_diagnosis.decision.explanation import Explanation
 from mrd_diagnosis.decision.rejection_rules import RULES, Claim, markdown_table, rejecting_rule
-from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Cause, Finding, Interval, ParameterEstimate
+from mrd_diagnosis.diagnosis import (
+    ON_BOUND,
+    UNDETERMINED,
+    Candidate,
+    Cause,
+    Finding,
+    Interval,
+    Member,
+    ParameterEstimate,
+    Rejected,
+)
 from mrd_diagnosis.fitting.base_fit import LinearisedRefit
 from mrd_diagnosis.recordings.imitating_limitations import clock_finding, imitating_limitations
 from mrd_diagnosis.report.gap_file import to_json
-from mrd_diagnosis.report.sentences import next_command, next_step
+from mrd_diagnosis.report.sentences import imitation_note, next_command, next_step
 from mrd_diagnosis.search.effect_search import refit_with_effects
 from mrd_diagnosis.search.model_comparison import ModelComparison
+from mrd_diagnosis.wording.effect_names import effect_name
 from mrd_identification.correction import correction_of_report
 from mrd_runs.validation import make_run
 from mrd_sim.damper import Damper
@@ -338,3 +349,54 @@ def test_what_predicts_each_run_worse_from_the_others_is_no_cause():
     assert [(entry.effect, entry.rule, entry.chosen) for entry in found.rejected] == [("end_stop", "worse", True)]
     limited = worse_by_runs(Conclusion(explanation, comparison, (cause,), limitations=(HELD,)))
     assert limited.explanation.verdict == "data_fault"
+
+
+def candidate_of(effect, closed):
+    return Candidate((effect,), 0.05, Interval(closed, closed - 0.1, closed + 0.1), 1e-3, 0.0, {})
+
+
+def test_no_effect_is_rejected_for_a_better_one_that_there_is_not():
+    """Of an unknown effect, what comes nearest leaves too much open; a class has no rejected members."""
+    nearest = ModelComparison(None, None, (None,), ("end_stop",), {"end_stop": {}})
+    unknown = Conclusion(Explanation("unknown_effect", nearest, {}, {}), nearest, ())
+    listed = [candidate_of("end_stop", 0.6), candidate_of("gas_spring", 0.3)]
+    found = reject_others(unknown, listed, (), (), None)
+    assert {entry.effect: entry.rule for entry in found} == {"end_stop": "unexplained", "gas_spring": "other_effect"}
+    members = tuple(Member(effect, 0.4, 1.0, {}) for effect in ("channel_delay", "force_sensor_lag"))
+    cause = Cause("channel_delay", 0.6, 1e-3, Interval(0.8, 0.7, 0.9), {}, "class", members)
+    named = Conclusion(Explanation("ambiguous", nearest, {}, {}), nearest, (cause,))
+    listed = [candidate_of("channel_delay", 0.8), candidate_of("force_sensor_lag", 0.7), candidate_of("gas_spring", 0.3)]
+    assert [entry.effect for entry in reject_others(named, listed, (), (), None)] == ["gas_spring"]
+
+
+def test_only_what_a_limitation_imitates_is_said_to_be_imitated():
+    def entry(effect, rule):
+        return Rejected(effect, rule, "", True, 0.7, 0.01, Interval(0.6), {})
+
+    note = imitation_note([entry("channel_delay", "limitation"), entry("gas_spring", "on_bound")])
+    assert effect_name("channel_delay") in note
+    assert effect_name("gas_spring") not in note
+
+
+def test_the_likeliest_effect_of_a_place_leads_it(monkeypatch):
+    """The search chose the other one with an earlier estimate of the noise; its size starts from the fit in that place."""
+    base, lag, delay = (
+        SimpleNamespace(values=values)
+        for values in ({"viscous": 1.0}, {"viscous": 2.0, "force_sensor_lag.time": 3e-3}, {"channel_delay.delay": 4e-3})
+    )
+    alternatives = {"force_sensor_lag": {"force_sensor_lag": lag, "channel_delay": delay, "": base}}
+    comparison = ModelComparison(None, base, (lag,), ("force_sensor_lag",), alternatives)
+    probabilities = {"force_sensor_lag": {"channel_delay": 0.6, "force_sensor_lag": 0.35, "": 0.05}}
+    explanation = Explanation("ambiguous", comparison, probabilities, {"force_sensor_lag": 1e-3})
+
+    def with_chain(compared, effects, values, others):
+        return replace(compared, chain=(SimpleNamespace(values=values),), effects=tuple(effects), alternatives=others)
+
+    monkeypatch.setattr(conclusion, "with_chain", with_chain)
+    led, complete = conclusion._led_by_likeliest(explanation, comparison, lambda compared: compared)
+    assert complete is led.comparison
+    assert (complete.effects, *led.probabilities, *led.p_values) == (("channel_delay",), "channel_delay", "channel_delay")
+    assert complete.best.values["channel_delay.delay"] == 4e-3
+    assert complete.alternatives["channel_delay"] is alternatives["force_sensor_lag"]
+    kept = replace(explanation, probabilities={"force_sensor_lag": {"force_sensor_lag": 0.6, "channel_delay": 0.35}})
+    assert conclusion._led_by_likeliest(kept, comparison, lambda compared: compared) == (kept, comparison)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from html import unescape
 from math import log
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_diagnosis.diagnose import diagnose
+from mrd_diagnosis.diagnosis import Interval, Rejected
 from mrd_diagnosis.experiment_design.experiment_library import Sizes, usual_bench
 from mrd_diagnosis.experiment_design.information import expected_information
 from mrd_diagnosis.experiment_design.separation import Separation
@@ -21,7 +23,7 @@ from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.sequential.first_set import FIRST_SET, first_set
 from mrd_diagnosis.sequential.recorded import folder_of_round, read_recorded, set_aside_incomplete
 from mrd_diagnosis.sequential.report import write_sequential_report
-from mrd_diagnosis.sequential.sequential import diagnose_sequentially
+from mrd_diagnosis.sequential.sequential import diagnose_sequentially, open_candidates
 from mrd_diagnosis.wording.quantities import probability_clause
 from mrd_runs import Run, read_run
 from mrd_runs.bag_import import write_bag
@@ -216,3 +218,12 @@ def test_what_cannot_be_read_is_kept_aside_and_what_is_not_there_is_not_missed(t
     (tmp_path / empty.experiment.name).mkdir()
     assert set_aside_incomplete([empty, absent], tmp_path) == [tmp_path / "incomplete" / f"{empty.experiment.name}_1"]
     assert not (tmp_path / empty.experiment.name).exists()
+
+
+def test_what_is_seen_but_not_determined_stays_a_candidate():
+    def entry(effect, rule, chosen):
+        return Rejected(effect, rule, "", chosen, 0.7, 0.01, Interval(0.6), {})
+
+    rejected = entry(LAG, "on_bound", True), entry(DELAY, "on_bound", False), entry("backlash", "little", True)
+    diagnosis = SimpleNamespace(causes=(), alternatives=(), rejected=rejected)
+    assert open_candidates(diagnosis) == {LAG: 0.7}

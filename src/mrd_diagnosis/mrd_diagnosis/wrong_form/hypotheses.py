@@ -234,11 +234,17 @@ def _search(
             break
         chosen[lead.effects[-1]] = lead.refit
         weighting = weighting.updated(lead.refit.problem.model, lead.refit.theta)
-        before, best = left - lead.held_out_gain, refit_on(weighting, lead.refit)
+        left_before, best = left - lead.held_out_gain, refit_on(weighting, lead.refit)
         left = best.held_out_cost - weighting.noise_cost
-        # The weighting tells more the less is missing; the share is that of the gap as it was.
-        gap *= left / max(before, LEAST_GAP)
+        gap = reweighted_gap(gap, left_before, left)
     return chosen, singles, weighting
+
+
+def reweighted_gap(gap: float, left_before: float, left: float) -> float:
+    """Return a gap (white squares) with another weighting, in which ``left_before`` of it has become ``left``: a weighting
+    tells more the less is missing.
+    """
+    return gap * left / max(left_before, LEAST_GAP)
 
 
 def fit_table(weighting: Weighting, bases: Sequence[Refit], effects: Sequence[str]) -> list[Hypothesis]:
