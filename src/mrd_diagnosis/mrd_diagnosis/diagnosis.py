@@ -433,6 +433,8 @@ class StandIn:
         Parameters with which the model reproduces the simulator best.
     error : float
         Rms of what the model alone leaves of the simulator's force, over the standard deviation of that force.
+    set_values : mapping
+        Parameters of the simulator that were set or refitted, by name.
     """
 
     name: str
@@ -440,6 +442,7 @@ class StandIn:
     model: DamperModel
     theta: Array
     error: float
+    set_values: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def values(self) -> dict[str, float]:

@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 from mrd_base import InputError
 from mrd_diagnosis import diagnose, validate
 from mrd_diagnosis.cli.diagnose import print_summary
+from mrd_diagnosis.diagnosis import Advice
 from mrd_diagnosis.report.gap_file import to_json
 from mrd_diagnosis.report.page import page_content, write_gap_report
 from mrd_diagnosis.report.sentences import next_command
@@ -20,7 +21,7 @@ from mrd_diagnosis.report.validation_page import write_validation
 from mrd_diagnosis.simulator.in_the_loop import SimulatorInLoop
 from mrd_diagnosis.simulator.parameter_fit import refit_parameters
 from mrd_diagnosis.simulator.stand_in import beside_model, simulated_forces
-from mrd_identification.export import export_damper, load_damper
+from mrd_identification.export import corrected_simulator, export_damper, load_damper
 from mrd_identification.plot import write_plot
 from mrd_identification.recording import consecutive_modelled_forces, prepare_recording
 from mrd_runs import Run, read_runs
@@ -31,6 +32,7 @@ from mrd_sim.fmu import fmu_archive
 from mrd_sim.models import find_model
 from mrd_sim.simulators.adjusted import AdjustedSimulator
 from mrd_sim.simulators.opening import open_simulator
+from mrd_sim.simulators.recorded import OF_RECORDINGS
 from mrd_sim.simulators.simulator import signals_of
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "worn_joint"
@@ -438,3 +440,91 @@ def test_a_fault_is_printed_once_with_its_cure(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert printed.count("the wrong sign in all runs") == 1
     assert "import FILE... --flip force --output DIR`" in printed
+
+
+def report_of(diagnosis, folder):
+    folder.mkdir()
+    (folder / "gap_report.json").write_text(json.dumps(to_json(diagnosis)))
+    return folder / "gap_report.json"
+
+
+@pytest.fixture(scope="module")
+def of_set(runs, tmp_path_factory):
+    """The file of a simulator, and a diagnosis of it with a parameter that was set."""
+    file = tmp_path_factory.mktemp("set") / "mine.py"
+    file.write_text(SIMULATOR)
+    with open_simulator(file) as simulator:
+        adjusted = AdjustedSimulator(simulator, {"c": 1500.0})
+        return file, diagnose(runs[:1], "hyperbolic_tangent", simulator=adjusted, effects=("joint_play", "gas_spring"))
+
+
+def test_a_corrected_simulator_has_the_values_with_which_it_was_diagnosed(runs, of_set, tmp_path):
+    file, diagnosis = of_set
+    report = report_of(diagnosis, tmp_path / "gap")
+    assert json.loads(report.read_text())["simulator"]["set"] == {"c": 1500.0}
+    damper = load_damper(report, anyway=True)
+    with open_simulator(file) as simulator:
+        as_diagnosed = corrected_simulator(simulator, damper)
+        assert as_diagnosed.values == {"c": 1500.0}
+        assert as_diagnosed.notes[-1] == "In mine.py, c is 1500, as in the diagnosis."
+        plain, again = (validate(damper, runs[:1], simulator=s) for s in (simulator, as_diagnosed))
+        assert plain.nrmse == again.nrmse
+        # What the user sets himself counts.
+        other = AdjustedSimulator(simulator, {"c": 700.0})
+        assert corrected_simulator(other, damper) is other
+        assert validate(damper, runs[:1], simulator=other).nrmse != plain.nrmse
+
+
+def test_validate_takes_an_unproven_correction_with_anyway(of_set, tmp_path):
+    file, diagnosis = of_set
+    unproven = replace(diagnosis, verdict="ambiguous")
+    report = report_of(unproven, tmp_path / "gap")
+    run = sorted(EXAMPLE.glob("*.csv"))[1]
+    arguments = ["validate", report, run, "--simulator", file, "--output", tmp_path / "validation"]
+    done = run_mrd(*arguments)
+    assert (done.returncode, done.stderr.count("--anyway")) == (2, 1)
+    done = run_mrd(*arguments, "--anyway")
+    assert done.returncode == 0, done.stderr
+    assert "note: In mine.py, c is 1500, as in the diagnosis." in done.stdout
+
+
+def test_options_follow_all_runs_of_the_next_command(runs, of_set):
+    """A tool takes no run behind an option."""
+    _, diagnosis = of_set
+    skipped = [replace(run, info={**run.info, "skipped_s": 2.0, "force_filter": "mean 4 ms"}) for run in runs[:1]]
+    advice = Advice("", "name: more", ())
+    ambiguous = replace(diagnosis, verdict="ambiguous", runs=tuple(skipped), next_experiment=advice)
+    command = next_command(ambiguous).splitlines()[-1]
+    assert f"{runs[0].info['source']} NEW_RUN --skip 2 --force-filter 'mean 4 ms' --simulator " in command
+    recorded = replace(ambiguous, stand_in=replace(diagnosis.stand_in, name=OF_RECORDINGS, source="simulated/1.csv"))
+    assert "--simulator simulated/1.csv NEW_SIMULATED --output" in next_command(recorded)
+
+
+@pytest.mark.parametrize("limit", ["np.diff(time).min() < 0.003", "len(time) in (80, 2 * LONG - 1)"])
+def test_what_a_simulator_cannot_be_asked_is_not_checked(runs, tmp_path, limit):
+    """One of a fixed step answers to no denser samples; it is none the worse for it."""
+    from mrd_diagnosis.simulator.self_check import check_simulator
+
+    text = SIMULATOR.replace(
+        "    p = parameters", f"    if {limit}:\n        import os\n        os._exit(1)\n    p = parameters"
+    )
+    (tmp_path / "mine.py").write_text(f"LONG = {len(runs[0])}\n{text}")
+    recordings = [prepare_recording(run) for run in runs[:1]]
+    with open_simulator(tmp_path / "mine.py") as simulator:
+        forces = simulated_forces(simulator, recordings)
+        assert check_simulator(simulator, recordings, forces) == ()
+        assert np.array_equal(simulated_forces(simulator, recordings)[0], forces[0])
+
+
+def test_a_free_parameter_may_be_zero_and_end_on_a_bound_of_many_digits(runs, tmp_path):
+    """The force is rounded, as that of a solver with steps of its own is: a tiny change of a parameter shows nothing."""
+    text = SIMULATOR.replace('"c": 900.0', '"c": 0.0').replace("return ", "return 1e-2 * np.round(1e2 * (")
+    (tmp_path / "mine.py").write_text(text.rstrip() + "))\n")
+    recording = prepare_recording(runs[0])
+    with open_simulator(tmp_path / "mine.py") as simulator:
+        force = simulator.force(signals_of(recording.smoothed), {"c": 1000.0})
+        measured = [prepare_recording(replace(recording.run, force=force))]
+        found = refit_parameters(simulator, measured, {"c": (-3000.0, 3000.0)})
+        assert found.values["c"] == pytest.approx(1000.0, rel=1e-3)
+        bound = 2000.0 / 3.0  # 666.6667 is beyond it
+        assert refit_parameters(simulator, measured, {"c": (-bound, bound)}).values["c"] == pytest.approx(bound)

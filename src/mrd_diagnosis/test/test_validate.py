@@ -13,7 +13,7 @@ from mrd_base import InputError
 from mrd_diagnosis import validate, write_validation
 from mrd_diagnosis.cli import validate as tool
 from mrd_diagnosis.report.validation_page import validation_sentence
-from mrd_runs import Run
+from mrd_runs import Run, read_run, read_runs
 from mrd_sim.damper import Damper
 
 NOISE = 2.0
@@ -115,6 +115,14 @@ def test_a_run_to_which_the_damper_was_fitted_is_no_proof(damper):
     assert [validated.was_fitted for validated in found.runs] == [True, False]
     assert "The damper was fitted to b; that error says nothing about new runs." in validation_sentence(found)
     assert "was fitted to all of them" in validation_sentence(validate(damper, fitted, fitted=fitted))
+
+
+def test_a_run_that_was_fitted_is_known_without_its_start(damper, files):
+    _, (first, second) = files
+    whole, part, other = read_run(first), read_runs([first], 0.5)[0], read_run(second)
+    assert len(part) < len(whole)
+    found = validate(damper, [part, other], fitted=[whole])
+    assert [validated.was_fitted for validated in found.runs] == [True, False]
 
 
 @pytest.mark.parametrize(("limit", "status"), [("20", None), ("0.1", 1)])

@@ -34,6 +34,8 @@ class Correction:
         Name of the simulator of the user's own that the effects correct; empty where the model is the simulator.
     plain : mapping or None
         Parameters with which the model alone stands for that simulator.
+    simulator_values : mapping or None
+        Parameters of that simulator that were set, by name.
     """
 
     model: str
@@ -43,6 +45,7 @@ class Correction:
     remark: str
     simulator: str = ""
     plain: Mapping[str, float] | None = None
+    simulator_values: Mapping[str, float] | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -52,7 +55,8 @@ class Correction:
 
     def build(self) -> Damper:
         """Build the damper, at rest and unloaded."""
-        return Damper(self.model, self.parameters, self.laws, self.effects, self.simulator, self.plain)
+        simulated = self.simulator, self.plain, self.simulator_values
+        return Damper(self.model, self.parameters, self.laws, self.effects, *simulated)
 
 
 def correction_of_report(report: Mapping[str, Any], where: str, **options: Any) -> Correction:
@@ -80,6 +84,7 @@ def correction_of_report(report: Mapping[str, Any], where: str, **options: Any) 
         is_change=bool(report.get("runs", {}).get("reference")),
         simulator=simulator.get("name", ""),
         plain=simulator.get("parameters"),
+        simulator_values=simulator.get("set"),
         where=where,
         **options,
     )
@@ -97,6 +102,7 @@ def correction(
     is_change: bool = False,
     simulator: str = "",
     plain: Mapping[str, float] | None = None,
+    simulator_values: Mapping[str, float] | None = None,
     anyway: bool = False,
     where: str = "the diagnosis",
     remedy: str = ", or take what comes nearest with --anyway",
@@ -116,7 +122,7 @@ def correction(
         Share of the gap that the effects close, for the remark on a partly explained gap; nan where it is not known.
     is_change : bool
         Whether the diagnosis explains a change since reference runs; the parameters are of the damper before it.
-    simulator, plain
+    simulator, plain, simulator_values
         As in `Correction`.
     anyway : bool
         Take also what is not proven: the first of several possible causes, the nearest effect, or the parameters alone.
@@ -139,7 +145,8 @@ def correction(
         for effect in effects
     }
     parameters_of_model = {name: value for name, value in parameters.items() if "." not in name}
-    return Correction(model, laws, parameters_of_model, parameters_of_effects, remark, simulator, plain)
+    simulated = simulator, plain, simulator_values
+    return Correction(model, laws, parameters_of_model, parameters_of_effects, remark, *simulated)
 
 
 def unproven_effects(effects: Collection[str], causes: Mapping[str, float | None]) -> list[str]:

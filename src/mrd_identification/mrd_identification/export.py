@@ -12,6 +12,7 @@ from mrd_sim.c_code import c_source
 from mrd_sim.damper import Damper
 from mrd_sim.fmu import fmu_archive
 from mrd_sim.plant import read_damper
+from mrd_sim.simulators.adjusted import AdjustedSimulator
 from mrd_sim.simulators.simulator import Simulator
 from mrd_sim.wrapped_fmu import wrapped_simulator
 
@@ -63,11 +64,10 @@ def _gap_report(file: str | Path) -> dict[str, Any] | None:
     return content if is_report else None
 
 
-def simulator_to_wrap(file: str | Path) -> str:
-    """Return the FMU that a gap report corrects, with its options as on a command line; empty where it corrects none."""
+def source_of_simulator(file: str | Path) -> str:
+    """Return the simulator that a gap report corrects, with options as on a command line; empty where it corrects none."""
     simulator = (_gap_report(file) or {}).get("simulator") or {}
-    source = str(simulator.get("source", ""))
-    return source if str(simulator.get("name", "")).lower().endswith(".fmu") else ""
+    return str(simulator.get("source", ""))
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def export_damper(
         content = c_source(damper.model, values, prefix, damper.plain).encode()
         exported = Exported(damper, "C99 source")
     elif simulator is not None:
-        _check_simulator(simulator, damper, file)
+        simulator = corrected_simulator(simulator, damper)
         wrapped = wrapped_simulator(simulator, damper.model, values, damper.plain)
         if fmi is not None and not wrapped.version.startswith(f"FMI {fmi}"):
             raise InputError(f"--fmi is {fmi}: an FMU around {simulator.name} is of its version, {wrapped.version}")
@@ -162,10 +162,23 @@ def export_damper(
     return exported
 
 
-def _check_simulator(simulator: Simulator, damper: Damper, file: str | Path) -> None:
-    """Refuse a simulator that is not the one that a damper corrects."""
+def corrected_simulator(simulator: Simulator, damper: Damper) -> Simulator:
+    """Return the simulator that a damper corrects, with the parameters with which it was diagnosed.
+
+    Values that the user has set himself stay.
+
+    Raises
+    ------
+    InputError
+        For another simulator, one that lacks such a parameter, or a damper that corrects none.
+    """
     corrects = damper.model.stands_for
     if not corrects:
-        raise InputError(f"--simulator: {file} corrects no simulator; leave it out")
+        raise InputError(f"--simulator: {damper.description} corrects no simulator; leave it out")
     if simulator.name != corrects:
         raise InputError(f"--simulator is {simulator.name}, expected {corrects}, which the diagnosis corrects")
+    values = {name: value for name, value in damper.simulator_values.items() if name not in simulator.values}
+    if not values:
+        return simulator
+    listed = ", ".join(f"{name} is {value:g}" for name, value in values.items())
+    return AdjustedSimulator(simulator, values, (f"In {simulator.name}, {listed}, as in the diagnosis.",))

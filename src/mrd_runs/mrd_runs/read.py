@@ -163,12 +163,15 @@ def describe_runs(runs: Sequence[Run]) -> str:
     return f"{len(runs)} run{'s' if len(runs) > 1 else ''} {where}; {total:.0f} s, {samples} samples"
 
 
-def run_arguments(runs: Sequence[Run]) -> str:
-    """Return runs as arguments of a tool, with what was skipped; ``RUN...`` where they were not read from files."""
+def run_arguments(runs: Sequence[Run], *more: str) -> str:
+    """Return runs as arguments of a tool, with ``more`` of them and with what was skipped; ``RUN...`` where they were not
+    read from files.
+    """
     sources = [str(run.info.get("source", "")) for run in runs]
     skipped = max((float(run.info.get("skipped_s", 0.0)) for run in runs), default=0.0)
     skip = f" --skip {skipped:g}" if skipped else ""
-    return (shlex.join(sources) if all(sources) and "live samples" not in sources else "RUN...") + skip
+    named = shlex.join(sources) if all(sources) and "live samples" not in sources else "RUN..."
+    return " ".join([named, *more]) + skip
 
 
 def unique_name(name: str, path: str | Path, used: set[str]) -> str:

@@ -70,6 +70,8 @@ class Damper:
         Name of a simulator of the user's own for which the model stands, see `mrd_sim.models.DamperModel`.
     plain : mapping, optional
         Its parameters by name with which it reproduces that simulator without effects.
+    simulator_values : mapping, optional
+        Parameters of that simulator that were set, by name.
 
     Raises
     ------
@@ -85,10 +87,11 @@ class Damper:
         effects: Mapping[str, Mapping[str, float]] | None = None,
         stands_for: str = "",
         plain: Mapping[str, float] | None = None,
+        simulator_values: Mapping[str, float] | None = None,
     ) -> None:
         effects = effects or {}
         self.model = replace(find_model(model, laws, list(effects)), stands_for=stands_for)
-        self.plain = dict(plain or {})
+        self.plain, self.simulator_values = dict(plain or {}), dict(simulator_values or {})
         effect_values = {f"{effect}.{name}": value for effect, values in effects.items() for name, value in values.items()}
         self.theta = self.model.vector({"coil_lag": 0.0, **(parameters or {}), **effect_values})
         self._state: Array | None = None

@@ -82,21 +82,23 @@ def wrapped_simulator(
     InputError
         For a simulator that is no FMU; as of `mrd_sim.c_code.c_source`; without a C compiler.
     """
-    settings: dict[str, float] = {}
+    settings = simulator.values
     while isinstance(simulator, AdjustedSimulator):
-        settings = {**simulator.values, **settings}
         simulator = simulator.simulator
     if not isinstance(simulator, ProcessSimulator) or "standard" not in simulator.facts:
         raise InputError(
             f"--simulator: {simulator.name} is no FMU, and only an FMU can be put into one; take a block instead"
         )
     content = _wrapped(simulator.file, simulator.facts, model, values, plain, settings)
-    return WrappedFmu(content, simulator.facts["standard"], _notes(simulator, model))
+    return WrappedFmu(content, simulator.facts["standard"], _notes(simulator, model, settings))
 
 
-def _notes(simulator: ProcessSimulator, model: DamperModel) -> tuple[str, ...]:
+def _notes(simulator: ProcessSimulator, model: DamperModel, settings: Mapping[str, float]) -> tuple[str, ...]:
     """Return what is to be known of an FMU around a simulator's."""
     facts, notes = simulator.facts, []
+    if settings:
+        listed = ", ".join(f"{name} = {value:g}" for name, value in settings.items())
+        notes.append(f"Parameters of {simulator.name} start from the values that were set: {listed}.")
     if added := _own_inputs(facts):
         notes.append(f"Inputs of its own, which {simulator.name} lacks and effects need: {', '.join(added)}. Connect them.")
     if derived := [name for name in DERIVED if name not in facts["inputs"]]:

@@ -4,18 +4,22 @@ import subprocess
 import sys
 import textwrap
 import time
+from types import SimpleNamespace
 
 import numpy as np
+import psutil
 import pytest
 from python_fmu import FMUS, build_fmu
 
 from mrd_base import InputError
 from mrd_runs import Run
-from mrd_sim.cli.simulator_options import parse_free, parse_values_set
+from mrd_sim.cli.simulator_options import parse_free, parse_inputs, parse_values_set
 from mrd_sim.fmu import fmu_archive
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
 from mrd_sim.simulators.adjusted import AdjustedSimulator
+from mrd_sim.simulators.fmu_runner import _steps
+from mrd_sim.simulators.fmu_variables import find_variables
 from mrd_sim.simulators.opening import open_simulator
 from mrd_sim.simulators.recorded import RecordedSimulator
 from mrd_sim.simulators.simulator import Signals
@@ -185,7 +189,7 @@ def test_a_command_reads_a_table_and_writes_forces(tmp_path):
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        ("command: no_such_program", "cannot be run (No such file or directory)"),
+        ("command: no_such_program", "cannot be run (no such program)"),
         (f"command: {sys.executable} -c 'raise SystemExit(\"no licence\")'", "ended with status 1: no licence"),
         (f"command: {sys.executable} -c 'print(1); print(\"x\")'", "line 2 of its answer is 'x', expected a number"),
         (f"command: {sys.executable} -c 'import sys; sys.stdout.buffer.write(bytes([0xe4]))'", "found 0 forces for 2000"),
@@ -219,6 +223,23 @@ def test_recordings_of_one_motion_are_told_apart_by_their_current():
     simulator = RecordedSimulator([run_of(f"r{k}", each, expected(each)) for k, each in enumerate(others)])
     for each in others:
         np.testing.assert_allclose(simulator.force(each), expected(each))
+
+
+def test_recordings_at_another_current_are_refused():
+    """A simulator that ran at 0.5 A has nothing to say of a run at 1 A; one whose supply lags behind has."""
+    given = signals()
+    still, twice, lagging = (
+        Signals(given.time, given.position, given.velocity, given.acceleration, current)
+        for current in (0.0 * given.current, 2.0 * given.current, np.roll(given.current, 50))
+    )
+    simulator = RecordedSimulator([run_of("a", given, expected(given))])
+    np.testing.assert_allclose(simulator.force(lagging), expected(given))
+    noise = np.random.default_rng(0).normal(0.0, 1e-3, (2, len(given)))
+    off, again = (Signals(given.time, given.position, given.velocity, given.acceleration, draw) for draw in noise)
+    np.testing.assert_allclose(RecordedSimulator([run_of("off", off, expected(given))]).force(again), expected(given))
+    for other in still, twice:
+        with pytest.raises(InputError, match=r"a has the motion of a run, but another current: 0\.369 A in the mean"):
+            simulator.force(other)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.002, 0.01])
@@ -328,7 +349,7 @@ def test_an_input_of_another_type_keeps_its_start(own_fmu, tmp_path):
     extra = '<ScalarVariable name="enable" valueReference="999" causality="input"><Boolean start="true"/></ScalarVariable>'
     file = changed_fmu(own_fmu, tmp_path, ("</ModelVariables>", f"{extra}</ModelVariables>"))
     with open_simulator(file) as simulator:
-        assert simulator.notes[0].endswith("force is force; enable keep their start values.")
+        assert simulator.notes[0].endswith("force is force in N; enable keeps its start value.")
         assert len(simulator.force(signals())) == 2000
 
 
@@ -343,6 +364,111 @@ def test_stated_units_are_converted(own_fmu, tmp_path):
     file = changed_fmu(own_fmu, tmp_path, ('unit="N"', 'unit="kN"'), ('Unit name="N"', 'Unit name="kN"'))
     with open_simulator(own_fmu) as simulator, open_simulator(file) as in_kn:
         np.testing.assert_allclose(in_kn.force(given), 1e3 * simulator.force(given))
+
+
+def test_units_in_names_are_converted(own_fmu, tmp_path):
+    """Of an FMU that declares no units."""
+    given = signals()
+    changes = [
+        (f'name="{name}"', f'name="{new}"')
+        for name, new in [("position", "x_mm"), ("current", "current_mA"), ("force", "F_kN")]
+    ]
+    without = [(f'unit="{unit}"', 'unit="1"') for unit in ("m", "A", "N")]
+    file = changed_fmu(own_fmu, tmp_path, *changes, *without)
+    with open_simulator(own_fmu) as simulator, open_simulator(file) as named:
+        assert "position is x_mm in mm" in named.notes[0]
+        assert "current is current_mA in mA, force is F_kN in kN" in named.notes[0]
+        scaled = Signals(given.time, 1e-3 * given.position, given.velocity, given.acceleration, 1e-3 * given.current)
+        np.testing.assert_allclose(named.force(scaled), 1e3 * simulator.force(given), rtol=1e-9)
+
+
+@pytest.mark.parametrize("unit", ["K", "1"])
+def test_a_temperature_is_no_time(own_fmu, tmp_path, unit):
+    extra = (
+        f'<ScalarVariable name="T" valueReference="999" causality="input"><Real unit="{unit}" start="300"/></ScalarVariable>'
+    )
+    with open_simulator(changed_fmu(own_fmu, tmp_path, ("</ModelVariables>", f"{extra}</ModelVariables>"))) as simulator:
+        assert "time" not in simulator.facts["mapping"]
+        assert "T keeps its start value" in simulator.notes[0]
+
+
+def test_an_input_can_be_left_at_its_start(own_fmu):
+    with open_simulator(own_fmu, inputs=parse_inputs("current=")) as simulator:
+        assert "current" not in simulator.facts["inputs"]
+        assert simulator.source.endswith("--inputs current=")
+
+
+def test_the_unit_of_a_type_is_that_of_its_variables():
+    """FMPy leaves it with the type."""
+    length, force = SimpleNamespace(unit="mm"), SimpleNamespace(unit="kN")
+    variables = [
+        SimpleNamespace(
+            name=name,
+            type="Real",
+            dimensions=(),
+            causality=causality,
+            start="0",
+            unit=None,
+            declaredType=declared,
+            valueReference=reference,
+            min=None,
+            max=None,
+            variability="continuous",
+        )
+        for reference, (name, causality, declared) in enumerate([("u", "input", length), ("y", "output", force)])
+    ]
+    found = find_variables(SimpleNamespace(fmiVersion="2.0", modelVariables=variables), {}, "")
+    assert found.inputs == (("position", 0, pytest.approx(1e3)),)
+    assert (found.mapping["force"], found.factor) == ("y", 1e3)
+
+
+@pytest.mark.parametrize("lost", [0, 100, 997])
+def test_an_fmu_is_stepped_through_a_gap_as_elsewhere(lost):
+    """A second that was lost is no longer step of all."""
+    time = np.delete(np.arange(4000) / 1000.0, slice(2000, 2000 + lost))
+    grid, step = _steps(time)
+    assert step == pytest.approx(1e-3, rel=1e-2)
+    np.testing.assert_allclose(np.diff(grid), step)
+    assert (grid[0], grid[-1]) == (time[0], time[-1])
+    force = np.interp(time, grid, np.sin(5.0 * grid))
+    np.testing.assert_allclose(force, np.sin(5.0 * time), atol=1e-4)
+
+
+def test_a_simulator_that_has_ended_can_be_opened_again(tmp_path):
+    text = FUNCTION.replace("print(", "if len(time) > 2000: import os; os._exit(3)\n    print(")
+    with open_simulator(write(tmp_path, text)) as simulator:
+        with pytest.raises(InputError, match="ended by itself"):
+            simulator.force(signals(3000))
+        simulator.reopen()
+        np.testing.assert_allclose(simulator.force(signals()), expected(signals()))
+
+
+def test_a_command_ends_with_the_bench(tmp_path):
+    """Whoever kills the tool finds nothing that runs on, and no limit that nobody watches."""
+    started = tmp_path / "started"
+    waits = write(
+        tmp_path, f"import os, time; open({str(started)!r}, 'w').write(str(os.getpid())); time.sleep(60)", "waits.py"
+    )
+    text = f"""
+        import numpy as np
+        from mrd_sim.simulators.opening import open_simulator
+        from mrd_sim.simulators.simulator import Signals
+        open_simulator("command: {sys.executable} {waits}").force(Signals(*np.zeros((5, 10))))
+    """
+    bench = subprocess.Popen([sys.executable, str(write(tmp_path, text, "bench.py"))])
+    try:
+        until = time.monotonic() + 60.0
+        while not (started.exists() and started.read_text()):
+            assert time.monotonic() < until
+            time.sleep(0.05)
+    finally:
+        bench.kill()
+        bench.wait()
+    command = int(started.read_text())
+    until = time.monotonic() + 10.0
+    while psutil.pid_exists(command) and psutil.Process(command).status() != psutil.STATUS_ZOMBIE:
+        assert time.monotonic() < until
+        time.sleep(0.05)
 
 
 def test_what_is_no_simulator_is_refused(tmp_path, own_fmu):

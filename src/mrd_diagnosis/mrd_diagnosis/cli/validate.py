@@ -7,14 +7,14 @@ from mrd_base import InputError, run_tool
 from mrd_base.json_file import make_folder
 from mrd_diagnosis.report.validation_page import validation_sentence, write_validation
 from mrd_diagnosis.validation.validate import validate
-from mrd_identification.cli.options import add_anyway, add_reading_arguments, announce, look_at_runs
-from mrd_identification.export import load_damper
+from mrd_identification.cli.options import add_reading_arguments, announce, look_at_runs
+from mrd_identification.export import corrected_simulator, load_damper, source_of_simulator
 from mrd_identification.fit_file import fitted_sources
 from mrd_identification.low_pass import with_force_filters
 from mrd_runs import Run, read_runs
 from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
-from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator
+from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator, take_from_source
 from mrd_sim.simulators.command import COMMAND
 from mrd_sim.simulators.opening import is_simulator
 
@@ -45,7 +45,11 @@ def work() -> None:
     parser.add_argument("--limit", type=float, metavar="PERCENT", help="largest error (NRMSE) that passes")
     add_simulator_arguments(parser)
     add_reading_arguments(parser)
-    add_anyway(parser)
+    parser.add_argument(
+        "--anyway",
+        action="store_true",
+        help="predict runs even if they look faulty, and by a corrected simulator even if the diagnosis does not prove it",
+    )
     add_effects_folder(parser)
     add_models_folder(parser)
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for the page and the file")
@@ -57,7 +61,9 @@ def work() -> None:
         raise InputError(f"{arguments.damper}: is a simulator, and --simulator names another one; give one of them")
     if by_itself:
         arguments.simulator = [arguments.damper]
-    damper = None if by_itself else load_damper(arguments.damper)
+    elif arguments.simulator:
+        take_from_source(arguments, source_of_simulator(arguments.damper))
+    damper = None if by_itself else load_damper(arguments.damper, anyway=arguments.anyway)
     (runs,) = with_force_filters([read_runs(arguments.runs, arguments.skip)], arguments.force_filter, "--force-filter")
     look_at_runs(
         runs, arguments.anyway, None if damper is None else damper.model, remedy="predict them as they are with --anyway"
@@ -67,6 +73,8 @@ def work() -> None:
     with opened_simulator(arguments) as simulator:
         validated = damper or simulator
         assert validated is not None
+        if damper is not None and simulator is not None:
+            simulator = corrected_simulator(simulator, damper)
         validation = validate(
             validated,
             runs,
@@ -77,6 +85,8 @@ def work() -> None:
         )
     page = write_validation(validation, folder)
     print(validation_sentence(validation))
+    for note in () if simulator is None else simulator.notes:
+        print(f"note: {note}")
     for finding in validation.limitations:
         print(f"{finding.severity}: {finding.sentence}")
     above = arguments.limit is not None and not 100.0 * validation.nrmse <= arguments.limit

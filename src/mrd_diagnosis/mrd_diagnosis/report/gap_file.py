@@ -110,6 +110,7 @@ def _stand_in(stand_in: StandIn) -> dict[str, Any]:
         "model": stand_in.model.id,
         "parameters": stand_in.values,
         "error": finite_or_none(stand_in.error),
+        "set": dict(stand_in.set_values),
     }
 
 

@@ -19,6 +19,7 @@ from mrd_runs.read import run_arguments
 from mrd_runs.text import named_run
 from mrd_sim.effects import EFFECTS
 from mrd_sim.own import folder_arguments, model_arguments
+from mrd_sim.simulators.recorded import OF_RECORDINGS
 
 MOST = 0.5
 """Share of the gap from which a reader calls it most of it."""
@@ -31,6 +32,7 @@ _PLACEHOLDERS = {
     "CORRECTED.yaml": "the plant file to write",
     "RUN...": "the recordings",
     "NEW_RUN": "the new recording",
+    "NEW_SIMULATED": "what your simulator answers along the new recording",
     "DIR": "a folder for the reports",
 }
 """Words of a command that stand for something of the reader."""
@@ -383,12 +385,14 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     held_out = f" --held-out {run_arguments(diagnosis.held_out)}" if diagnosis.held_out else ""
     reference = f" --reference {run_arguments(diagnosis.reference)}" if diagnosis.reference else ""
     laws = diagnosis.model.laws
-    diagnose = f"{command('mrd_diagnosis', 'diagnose')} {runs}"
+    beside = f"{held_out}{reference}{_force_filter_arguments(diagnosis)}"
+    diagnose = f"{command('mrd_diagnosis', 'diagnose')} {runs}{beside}"
+    again = f"{command('mrd_diagnosis', 'diagnose')} {run_arguments(diagnosis.runs, 'NEW_RUN')}{beside}"
     record = ""
     if diagnosis.next_experiment is not None and diagnosis.next_experiment.experiment and has_workspace():
         record = f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml\n"
     if diagnosis.stand_in:
-        again = f"{record}{diagnose} NEW_RUN{held_out}{reference} --simulator {diagnosis.stand_in.source} --output DIR"
+        simulated = " NEW_SIMULATED" if diagnosis.stand_in.name == OF_RECORDINGS else ""
         export = f"{command('mrd_identification', 'export')} {folder}/gap_report.json --output "
         export += "corrected.fmu" if diagnosis.stand_in.name.lower().endswith(".fmu") else "correction.fmu"
         if (
@@ -396,7 +400,7 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
             and diagnosis.next_experiment is not None
             and diagnosis.next_experiment.experiment
         ):
-            return again
+            return f"{record}{again} --simulator {diagnosis.stand_in.source}{simulated} --output DIR"
         if diagnosis.verdict in ("explained", "partly_explained") and not _is_doubtful(diagnosis):
             return export
         return f"{export} --anyway" if diagnosis.causes else ""
@@ -413,7 +417,7 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     if diagnosis.verdict == "ambiguous" and diagnosis.causes:
         if diagnosis.next_experiment is None or not diagnosis.next_experiment.experiment:
             return anyway
-        return f"{record}{diagnose} NEW_RUN{held_out}{reference} {model_arguments(diagnosis.model.id, laws)} --output DIR"
+        return f"{record}{again} {model_arguments(diagnosis.model.id, laws)} --output DIR"
     if diagnosis.verdict not in ("partly_explained", "unknown_effect"):
         return ""
     commands = []
@@ -425,10 +429,19 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
             commands.append(f"{identify} {runs}{held_out} {model_arguments(model.model, laws)} {free} --output DIR")
         else:
             model_and_laws = model_arguments(model.model, model.law)
-            commands.append(f"{diagnose}{held_out}{reference} {model_and_laws} --output DIR")
+            commands.append(f"{diagnose} {model_and_laws} --output DIR")
     if diagnosis.verdict == "partly_explained":
         commands += [apply, *reviews]
     return "\n".join(commands)
+
+
+def _force_filter_arguments(diagnosis: Diagnosis) -> str:
+    """Return the filters that the force is known to have passed, as options; empty where none is known."""
+    runs = (*diagnosis.runs, *diagnosis.held_out, *diagnosis.reference)
+    words = {run.name: str(run.info["force_filter"]) for run in runs if run.info.get("force_filter")}
+    of_all = set(words.values()) if len(words) == len(runs) else set()
+    options = list(of_all) if len(of_all) == 1 else [f"{name}={word}" for name, word in words.items()]
+    return "".join(f" --force-filter {shlex.quote(option)}" for option in options)
 
 
 def _remedies(diagnosis: Diagnosis) -> str:

@@ -56,7 +56,7 @@ def refit_parameters(
     spread = float(np.std(np.concatenate([force - force.mean() for force in measured])))
 
     def forces(scaled: Array) -> list[Array]:
-        values = _named(parameters, np.clip(scaled * size, lower, upper))
+        values = _named(parameters, scaled * size)
         try:
             return [simulator.force(along, values) for along in signals]
         except InputError as error:
@@ -68,21 +68,30 @@ def refit_parameters(
         return np.concatenate([difference - difference.mean() for difference in differences]) / spread
 
     check_against_force(simulator.name, recordings, forces(start / size))
-    found = least_squares(
-        errors, start / size, bounds=(lower / size, upper / size), diff_step=DIFFERENCE, max_nfev=EVALUATIONS
-    )
+
+    def derivatives(scaled: Array) -> Array:
+        """Return the derivatives of the errors (samples, parameters), by a step of each parameter within its bounds."""
+        here = errors(scaled)
+        up, down = upper / size - scaled, scaled - lower / size
+        steps = np.where(up >= down, np.minimum(up, DIFFERENCE), -np.minimum(down, DIFFERENCE))
+        return np.stack([(errors(scaled + step) - here) / step[k] for k, step in enumerate(np.diag(steps))], axis=1)
+
+    found = least_squares(errors, start / size, jac=derivatives, bounds=(lower / size, upper / size), max_nfev=EVALUATIONS)
     if still := [parameter.name for parameter, column in zip(parameters, found.jac.T, strict=True) if not column.any()]:
         raise InputError(
             f"simulator {simulator.name}: its force does not depend on the parameter {still[0]}; leave it out of --free"
         )
-    values = _named(parameters, np.clip(found.x * size, lower, upper))
+    values = _named(parameters, found.x * size)
     before, after = (float(np.sqrt(np.mean(errors(x) ** 2))) for x in (start / size, found.x))
     return AdjustedSimulator(simulator, values, (_note(simulator.name, parameters, values, before, after),))
 
 
 def _named(parameters: Sequence[SimulatorParameter], values: Array) -> dict[str, float]:
-    # Seven digits: the numbers are repeated on command lines, and no fit knows more.
-    return {parameter.name: float(f"{value:.7g}") for parameter, value in zip(parameters, values, strict=True)}
+    # Seven digits: the numbers are repeated on command lines, and no fit knows more. Rounded, they stay within the bounds.
+    return {
+        parameter.name: min(max(float(f"{value:.7g}"), parameter.lower), parameter.upper)
+        for parameter, value in zip(parameters, values, strict=True)
+    }
 
 
 def _bounded(parameter: SimulatorParameter, bounds: Bounds | None, simulator: str) -> SimulatorParameter:

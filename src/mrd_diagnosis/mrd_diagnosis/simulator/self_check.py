@@ -1,6 +1,6 @@
 """Check of a simulator by itself and against the recordings, before anybody looks for what it lacks."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,10 +66,20 @@ def check_simulator(simulator: Simulator, recordings: Sequence[Recording], force
             "reset the state"
         )
     told = [Finding("simulator", "limitation", text) for text in simulator.limitations]
-    late = _is_late(simulator, first)
-    ahead = _looks_ahead(simulator, first, forces[0], largest)
-    # What is late by a step depends on the step.
-    return (*told, *ahead, *(late or _depends_on_step(simulator, recordings[0], forces[0])))
+    late = _if_it_answers(simulator, lambda: _is_late(simulator, first))
+    ahead = _if_it_answers(simulator, lambda: _looks_ahead(simulator, first, forces[0], largest))
+    if not late:  # what is late by a step depends on the step
+        late = _if_it_answers(simulator, lambda: _depends_on_step(simulator, recordings[0], forces[0]))
+    return (*told, *ahead, *late)
+
+
+def _if_it_answers(simulator: Simulator, check: Callable[[], list[Finding]]) -> list[Finding]:
+    """Return what a check finds; nothing where the simulator cannot answer to its motion, which no recording has."""
+    try:
+        return check()
+    except InputError:
+        simulator.reopen()
+        return []
 
 
 def check_against_force(name: str, recordings: Sequence[Recording], forces: Sequence[Array]) -> None:
@@ -141,10 +151,7 @@ def _is_late(simulator: Simulator, signals: Signals) -> list[Finding]:
     velocity = np.where(np.arange(len(time)) >= REST, speed, 0.0)
     position = middle - 0.05 * stroke + np.cumsum(velocity) * step
     still = np.full(len(time), float(np.median(signals.current)))
-    try:
-        force = simulator.force(Signals(time, position, velocity, np.append(0.0, np.diff(velocity)) / step, still))
-    except InputError:  # it answers to the recordings, and this motion is not theirs
-        return []
+    force = simulator.force(Signals(time, position, velocity, np.append(0.0, np.diff(velocity)) / step, still))
     moved = np.flatnonzero(np.abs(force - force[REST - 2]) > 1e-3 * np.ptp(force))
     late = int(moved[0]) - REST if len(moved) else 0
     if late < 1 or not np.ptp(force) > 0.0:

@@ -123,7 +123,8 @@ def find_stand_in(
     if _rms_error(lagging, lagged) < LAGS * error and error > EXACT * float(np.std(problem.force)):
         theta, error = lagged, _rms_error(lagging, lagged)
     error /= max(float(np.std(problem.force)), np.finfo(float).tiny)
-    return StandIn(simulator.name, simulator.source, replace(problem.model, stands_for=simulator.name), theta, error)
+    standing = replace(problem.model, stands_for=simulator.name)
+    return StandIn(simulator.name, simulator.source, standing, theta, error, simulator.values)
 
 
 def _rms_error(problem: Problem, theta: Array) -> float:

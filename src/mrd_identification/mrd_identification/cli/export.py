@@ -2,13 +2,12 @@
 
 import argparse
 import shlex
-import sys
 from pathlib import Path
 
 from mrd_base import InputError, run_tool
-from mrd_identification.export import export_damper, simulator_to_wrap
+from mrd_identification.export import export_damper, source_of_simulator
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
-from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator
+from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator, take_from_source
 from mrd_sim.fmu import VERSIONS
 
 
@@ -50,15 +49,17 @@ def work() -> None:
     arguments = parser.parse_args()
     if arguments.block and arguments.simulator:
         raise InputError("--block: gets the force of the simulator as an input; leave out --simulator")
-    if not arguments.block and not arguments.simulator and Path(arguments.output).suffix == ".fmu":
-        source = shlex.split(simulator_to_wrap(arguments.damper))
-        if source and not Path(source[0]).is_file():
+    if not arguments.block and Path(arguments.output).suffix == ".fmu":
+        source = source_of_simulator(arguments.damper)
+        file = next(iter(shlex.split(source)), "")
+        wraps = file.lower().endswith(".fmu")
+        if wraps and not arguments.simulator and not Path(file).is_file():
             raise InputError(
-                f"{arguments.damper}: corrects the simulator {source[0]}, which is no longer there; name it with "
+                f"{arguments.damper}: corrects the simulator {file}, which is no longer there; name it with "
                 "--simulator, or add --block for a block that gets its force as an input"
             )
-        if source:
-            arguments = parser.parse_args([*sys.argv[1:], "--simulator", *source])
+        if wraps:
+            take_from_source(arguments, source)
     with opened_simulator(arguments) as simulator:
         exported = export_damper(
             arguments.damper,

@@ -51,9 +51,11 @@ def work() -> None:
     paths = [name for name in arguments.sources if name not in (*simulators, *dampers)]
     if not paths:
         raise InputError("no recording to plot, expected one at least; a fit or a simulator is shown along recordings")
+    if (arguments.inputs or arguments.output_variable) and not any(name.lower().endswith(".fmu") for name in simulators):
+        raise InputError("--inputs and --output-variable name variables of an FMU, and there is none")
     (runs,) = with_force_filters([read_runs(paths, arguments.skip)], arguments.force_filter, "--force-filter")
     with ExitStack() as stack:
-        shown: dict[str, Damper | Simulator] = {name: load_damper(name) for name in dampers}
+        shown: dict[str, Damper | Simulator] = {name: load_damper(name, anyway=True) for name in dampers}
         for name in simulators:
             is_fmu = Path(name).suffix.lower() == ".fmu"
             inputs, output = (parse_inputs(arguments.inputs), arguments.output_variable) if is_fmu else ({}, "")

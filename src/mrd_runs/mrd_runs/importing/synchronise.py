@@ -66,6 +66,7 @@ def synchronise(series: Mapping[str, Series], rate: float | None, where: str) ->
     step = float(np.median(np.diff(common)))
     columns, notes = {"time": common - common[0]}, []
     done: dict[str, list[str]] = {}
+    beyond: list[str] = []
     for name, (time, values) in series.items():
         place = np.minimum(np.searchsorted(time, common), len(time) - 1)
         if np.array_equal(time[place], common) and 1.5 * intervals[name] > step:
@@ -78,7 +79,14 @@ def synchronise(series: Mapping[str, Series], rate: float | None, where: str) ->
         else:
             columns[name], how = np.interp(common, time, values), "is interpolated linearly"
         done.setdefault(how, []).append(name)
+        for missing, word in (time[0] - common[0], "begins"), (common[-1] - time[-1], "ends"):
+            if missing > max(step, intervals[name]):
+                kept = (
+                    "later; before that it has its first value" if word == "begins" else "earlier, and keeps its last value"
+                )
+                beyond.append(f"{name} {word} {missing:.3g} s {kept}")
     notes = [f"the samples are {origin}" + "".join(f"; {' and '.join(names)} {how}" for how, names in done.items())]
+    notes += beyond
     gap = float(np.diff(common).max())
     if gap > 5 * step:
         notes.append(f"the longest gap between two samples is {gap:.3g} s, {gap / step:.0f} times the usual one")
@@ -89,8 +97,18 @@ def _held(time: Array, values: Array, common: Array) -> Array:
     return np.asarray(values[np.maximum(np.searchsorted(time, common, "right") - 1, 0)])
 
 
+def _extended(time: Array, values: Array, common: Array) -> tuple[Array, Array]:
+    """Return a series that covers the common time, with its first and last value beyond its ends."""
+    before, after = common[:1][common[:1] < time[0]], common[-1:][common[-1:] > time[-1]]
+    held = [np.repeat(values[:1], len(before)), values, np.repeat(values[-1:], len(after))]
+    return np.concatenate([before, time, after]), np.concatenate(held)
+
+
 def _averaged(time: Array, values: Array, common: Array) -> Array:
-    """Average a series, linear between its samples, from midpoint to midpoint of the common time."""
+    """Average a series, linear between its samples, from midpoint to midpoint of the common time; beyond its ends it keeps
+    its first and last value.
+    """
+    time, values = _extended(time, values, common)
     edges = np.concatenate([common[:1], 0.5 * (common[1:] + common[:-1]), common[-1:]])
     integral = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
     # Between two samples the integral is a parabola.

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -40,7 +41,8 @@ def add_variable_arguments(parser: argparse.ArgumentParser) -> None:
         "--inputs",
         default="",
         metavar="QUANTITY=VARIABLE,...",
-        help="inputs of an FMU whose names do not tell: time, position, velocity, acceleration, current",
+        help="inputs of an FMU whose names do not tell: time, position, velocity, acceleration, current; without a "
+        "VARIABLE, the FMU has no such input",
     )
     parser.add_argument(
         "--output-variable", default="", metavar="VARIABLE", help="force of an FMU, where its name does not tell"
@@ -52,6 +54,18 @@ def add_variable_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         help="time that one answer of the simulator may take (default %(default)g s)",
     )
+
+
+def take_from_source(arguments: argparse.Namespace, source: str) -> None:
+    """Fill what the arguments leave open with what a report says of its simulator (`Simulator.source`)."""
+    parser = argparse.ArgumentParser()
+    add_simulator_arguments(parser)
+    of_report = parser.parse_args(["--simulator", *shlex.split(source)]) if source else parser.parse_args([])
+    arguments.simulator = arguments.simulator or of_report.simulator
+    arguments.inputs = arguments.inputs or of_report.inputs
+    arguments.output_variable = arguments.output_variable or of_report.output_variable
+    if arguments.simulator_limit == TIME_LIMIT:
+        arguments.simulator_limit = of_report.simulator_limit
 
 
 @contextmanager
@@ -84,7 +98,7 @@ def parse_inputs(text: str) -> dict[str, str]:
     """Read variables by quantity from ``QUANTITY=VARIABLE,...``."""
     pairs = [entry.partition("=") for entry in filter(None, text.split(","))]
     for quantity, equals, variable in pairs:
-        if not (quantity and equals and variable):
+        if not (quantity and equals):
             raise InputError(f"--inputs: found {quantity}{equals}{variable}, expected QUANTITY=VARIABLE,...")
     return {quantity.strip(): variable.strip() for quantity, _, variable in pairs}
 

@@ -21,8 +21,9 @@ class AdjustedSimulator(Simulator):
 
     Attributes
     ----------
-    simulator, values
-        As given.
+    simulator : Simulator
+    values : mapping
+        All parameters that were set, also in ``simulator``.
 
     Raises
     ------
@@ -38,7 +39,7 @@ class AdjustedSimulator(Simulator):
                     f"simulator {simulator.name}: the parameter {name} is {value:g}, expected {stated.lower:g} to "
                     f"{stated.upper:g}"
                 )
-        self.simulator, self.values = simulator, dict(values)
+        self.simulator, self.values = simulator, {**simulator.values, **values}
         self.name = simulator.name
         pairs = [f"{name}={value!r}" for name, value in values.items()]
         self.source = " ".join([simulator.source, *(["--set", *map(shlex.quote, pairs)] if pairs else [])])
@@ -53,6 +54,10 @@ class AdjustedSimulator(Simulator):
     def force(self, signals: Signals, values: Mapping[str, float] | None = None) -> Array:
         """Return the force (n,) in N; see `Simulator.force`."""
         return self.simulator.force(signals, {**self.values, **(values or {})})
+
+    def reopen(self) -> None:
+        """Start what runs for the simulator once more, where it has ended."""
+        self.simulator.reopen()
 
     def close(self) -> None:
         """End what runs for the simulator."""

@@ -2,6 +2,7 @@
 
 import io
 import shlex
+import shutil
 import subprocess
 from collections.abc import Mapping, Sequence
 
@@ -9,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_sim.simulators.process import TIME_LIMIT, end_group
+from mrd_base.workers import ending_with_parent
+from mrd_sim.simulators.process import TIME_LIMIT, end_group, limit_option
 from mrd_sim.simulators.simulator import Signals, Simulator, SimulatorParameter, checked_force
 
 Array = NDArray[np.float64]
@@ -41,7 +43,7 @@ class CommandSimulator(Simulator):
             raise InputError(f"simulator command {command!r}: cannot be read ({error})") from None
         if not self._arguments:
             raise InputError("simulator command: is empty, expected a command with its arguments")
-        self.name, self.source = command, shlex.quote(f"{COMMAND}{command}")
+        self.name, self.source = command, shlex.quote(f"{COMMAND}{command}") + limit_option(limit)
         self.parameters: Mapping[str, SimulatorParameter] = {}
         self._limit = limit
 
@@ -49,10 +51,12 @@ class CommandSimulator(Simulator):
         """Return the force (n,) in N; see `Simulator.force`."""
         text = io.StringIO()
         np.savetxt(text, signals.rows().T, delimiter=",", header=HEADER, comments="", fmt="%.17g")
+        if shutil.which(self._arguments[0]) is None:
+            raise InputError(f"simulator {self.name}: cannot be run (no such program)")
         settings = [f"{name}={value!r}" for name, value in (values or {}).items()]
         try:
             process = subprocess.Popen(
-                [*self._arguments, *settings],
+                ending_with_parent([*self._arguments, *settings]),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,

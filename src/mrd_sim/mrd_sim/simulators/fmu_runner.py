@@ -23,6 +23,10 @@ VERSIONS = ("2.0", "3.0")
 """Versions of the standard."""
 
 
+LARGEST_INTERVAL = 2.5
+"""Ratio to the usual interval of samples beyond which an interval is a gap."""
+
+
 class FmuRunner:
     """An FMU, unpacked.
 
@@ -88,6 +92,7 @@ class FmuRunner:
             "feedthrough": self.feedthrough,
             "inputs": [quantity for quantity, _, _ in self.variables.inputs],
             "mapping": dict(self.variables.mapping),
+            "units": dict(self.variables.units),
             "wiring": [(*wired, start) for wired, start in zip(self.variables.inputs, self.variables.starts, strict=True)],
             "output": (self.variables.output, self.variables.factor),
             "kept": list(self.variables.kept),
@@ -100,13 +105,12 @@ class FmuRunner:
     def force(self, signals: Array, values: Mapping[str, float]) -> Array:
         """Return the force (n,) in N along signals (5, n) from rest, with parameters by name."""
         variables = self.variables
-        inputs = signals[[SIGNALS.index(quantity) for quantity, _, _ in variables.inputs]]
+        time, step = _steps(signals[0])
+        inputs = np.array([np.interp(time, signals[0], signals[SIGNALS.index(name)]) for name, _, _ in variables.inputs])
         factors = np.array([factor for _, _, factor in variables.inputs])
-        # A clock's jitter is no change of the step, and many FMUs take one step only.
-        step = float(signals[0][-1] - signals[0][0]) / (signals.shape[1] - 1)
         fmu = self._begin(factors * inputs[:, 0], values)
         try:
-            force = np.empty(signals.shape[1])
+            force = np.empty(len(time))
             functions = self._addresses(fmu)
             instance = ctypes.cast(fmu.component, ctypes.c_void_p).value
             references = np.array([reference for _, reference, _ in variables.inputs], np.uint32)
@@ -119,7 +123,7 @@ class FmuRunner:
                 raise InputError(f"the step to sample {failed} of {len(force)}, at {failed * step:.4g} s, failed{said}")
         finally:
             self._finish(fmu)
-        return force * variables.factor
+        return np.asarray(np.interp(signals[0], time, force)) * variables.factor
 
     def _begin(self, inputs: Array, values: Mapping[str, float]) -> Any:
         """Return a new instance that has been initialised with parameters and the first inputs."""
@@ -191,6 +195,20 @@ class FmuRunner:
             raise InputError(f"refuses inputs after its initialisation ({_one_line(error)})") from None
         finally:
             self._finish(fmu)
+
+
+def _steps(time: Array) -> tuple[Array, float]:
+    """Return the times (m,) to which an FMU is stepped along samples at ``time`` (n,), and the step, in s.
+
+    A clock's jitter is no change of the step, and many FMUs take one step only. Through a gap between samples, an FMU is
+    stepped as elsewhere.
+    """
+    intervals = np.diff(time)
+    usual = float(np.median(intervals))
+    if intervals.max() <= LARGEST_INTERVAL * usual:
+        return time, float(time[-1] - time[0]) / len(intervals)
+    count = round(float(time[-1] - time[0]) / usual)
+    return np.linspace(time[0], time[-1], count + 1), float(time[-1] - time[0]) / count
 
 
 def _one_line(text: object) -> str:

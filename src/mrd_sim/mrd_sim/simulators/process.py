@@ -36,6 +36,11 @@ MOST_SERIES = 64
 """Series of signals that the process keeps, so that they are sent once."""
 
 
+def limit_option(limit: float) -> str:
+    """Return a time limit as on a command line; empty for the usual one."""
+    return "" if limit == TIME_LIMIT else f" --simulator-limit {limit:g}"
+
+
 class ProcessSimulator(Simulator):
     """A simulator that a process of its own runs (`mrd_sim.simulators.worker`).
 
@@ -62,11 +67,45 @@ class ProcessSimulator(Simulator):
     def __init__(self, kind: str, file: Path, options: Mapping[str, Any], limit: float = TIME_LIMIT) -> None:
         self.name, self.source, self.file = file.name, shlex.quote(str(file)), file
         self.limit = limit
+        self._kind, self._options = kind, dict(options)
+        facts = self._start()
+        self.parameters = {
+            name: SimulatorParameter(
+                name,
+                float(fact["value"]),
+                -np.inf if fact["lower"] is None else float(fact["lower"]),
+                np.inf if fact["upper"] is None else float(fact["upper"]),
+                fact["unit"],
+            )
+            for name, fact in facts["parameters"].items()
+        }
+        self.facts: Mapping[str, Any] = facts
+        if "mapping" in facts:
+            units = {quantity: f" in {unit}" if unit else "" for quantity, unit in facts["units"].items()}
+            named = ", ".join(
+                f"{quantity} is {variable}{units[quantity]}" for quantity, variable in facts["mapping"].items()
+            )
+            keep = "keep their start values" if len(facts["kept"]) > 1 else "keeps its start value"
+            kept = f"; {', '.join(facts['kept'])} {keep}" if facts["kept"] else ""
+            self.notes = (f"In {self.name}, {named}{kept}.",)
+        if "current" not in facts["inputs"]:
+            cure = "name the variable with --inputs current=VARIABLE" if kind == "fmu" else "let its function take current"
+            self.limitations = (
+                f"the simulator {self.name} takes no current: its force is that at one current. If it has one, {cure}",
+            )
+        chosen = [f"{quantity}={variable}" for quantity, variable in dict(options.get("inputs") or {}).items()]
+        self.source += f" --inputs {shlex.quote(','.join(chosen))}" if chosen else ""
+        if options.get("output"):
+            self.source += f" --output-variable {shlex.quote(str(options['output']))}"
+        self.source += limit_option(limit)
+
+    def _start(self) -> dict[str, Any]:
+        """Start the process, and return what it says of the simulator."""
         folder = tempfile.mkdtemp(prefix="mrd_simulator_")
-        told = json.dumps({**options, "folder": folder})
+        told = json.dumps({**self._options, "folder": folder})
         self._process = subprocess.Popen(
             # Without -P, a file of the user's in this folder could stand for a module of the library.
-            [sys.executable, "-P", "-m", "mrd_sim.simulators.worker", kind, str(file.resolve()), told],
+            [sys.executable, "-P", "-m", "mrd_sim.simulators.worker", self._kind, str(self.file.resolve()), told],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -86,34 +125,17 @@ class ProcessSimulator(Simulator):
         self._listener.start()
         self._end = weakref.finalize(self, _end, self._process, folder)
         try:
-            facts, _ = self._answer(START_LIMIT + limit, "load")
+            facts, _ = self._answer(START_LIMIT + self.limit, "load")
         except InputError:
             self.close()
             raise
-        self.parameters = {
-            name: SimulatorParameter(
-                name,
-                float(fact["value"]),
-                -np.inf if fact["lower"] is None else float(fact["lower"]),
-                np.inf if fact["upper"] is None else float(fact["upper"]),
-                fact["unit"],
-            )
-            for name, fact in facts["parameters"].items()
-        }
-        self.facts: Mapping[str, Any] = facts
-        if "mapping" in facts:
-            named = ", ".join(f"{quantity} is {variable}" for quantity, variable in facts["mapping"].items())
-            kept = f"; {', '.join(facts['kept'])} keep their start values" if facts["kept"] else ""
-            self.notes = (f"In {self.name}, {named}{kept}.",)
-        if "current" not in facts["inputs"]:
-            self.limitations = (
-                f"the simulator {self.name} takes no current: its force is that at one current. If it has one, name "
-                "the variable with --inputs current=VARIABLE",
-            )
-        chosen = [f"{quantity}={variable}" for quantity, variable in dict(options.get("inputs") or {}).items()]
-        self.source += f" --inputs {shlex.quote(','.join(chosen))}" if chosen else ""
-        if options.get("output"):
-            self.source += f" --output-variable {shlex.quote(str(options['output']))}"
+        return facts
+
+    def reopen(self) -> None:
+        """Start the process once more, where it has ended."""
+        if self._process.poll() is not None:
+            self.close()
+            self._start()
 
     def force(self, signals: Signals, values: Mapping[str, float] | None = None) -> Array:
         """Return the force (n,) in N; see `Simulator.force`."""

@@ -56,7 +56,8 @@ class PythonRunner:
         arguments = [p.name for p in needed if p.name in (*ARGUMENTS, "acceleration")]
         if unknown := [p.name for p in needed if p.name not in arguments and p.default is p.empty]:
             raise InputError(
-                f"the function {FUNCTION} has the argument {unknown[0]}, expected some of {', '.join(ARGUMENTS)}"
+                f"the function {FUNCTION} has the argument {unknown[0]}, expected some of "
+                f"{', '.join((*ARGUMENTS, 'acceleration'))}"
             )
         self._arguments = arguments
         self._parameters = _checked_parameters(getattr(module, PARAMETERS, {}))

@@ -12,8 +12,17 @@ from mrd_sim.simulators.simulator import Signals, Simulator, SimulatorParameter
 
 Array = NDArray[np.float64]
 
+OF_RECORDINGS = "of the recordings"
+"""Name of every recorded simulator: recordings of other runs are of the same one."""
+
 MOST_DEVIATION = 0.05
 """Share of the stroke by which the motion of a simulator's recording may differ (rms) from that of the run it belongs to."""
+
+MOST_OF_CURRENT = 0.1
+"""Share of the largest current by which the current of a simulator's recording may differ (rms over `SEGMENTS`)."""
+
+SEGMENTS = 20
+"""Parts of a run in which the mean currents are compared: noise and the lag of a supply hardly change them."""
 
 FAR_BETTER = 0.3
 """Ratio of the differences of position below which a recording is shifted in time."""
@@ -35,7 +44,7 @@ class RecordedSimulator(Simulator):
 
     def __init__(self, runs: Sequence[Run]) -> None:
         self.runs = tuple(runs)
-        self.name = "of the recordings" if len(runs) > 1 else f"of {runs[0].name}"
+        self.name = OF_RECORDINGS
         self.source = " ".join(shlex.quote(str(run.info.get("source", run.name))) for run in runs)
         self.parameters: Mapping[str, SimulatorParameter] = {}
 
@@ -58,6 +67,15 @@ class RecordedSimulator(Simulator):
             )
         # Of several with the motion, such as a sine at several currents, the current tells.
         best = min(alike, key=lambda place: (_of_current(self.runs[place], signals, shifts[place]), off[place]))
+        simulated = _along(self.runs[best], signals, shifts[best], self.runs[best].current)
+        largest = max(float(np.abs(series).max()) for series in (signals.current, *(run.current for run in self.runs)))
+        parts = np.array_split(simulated - signals.current, min(SEGMENTS, len(signals)))
+        if np.sqrt(np.mean([part.mean() ** 2 for part in parts])) > MOST_OF_CURRENT * largest:
+            raise InputError(
+                f"recordings of the simulator: {self.runs[best].name} has the motion of a run, but another current: "
+                f"{simulated.mean():.3g} A in the mean, {signals.current.mean():.3g} A in the run; let the simulator run "
+                "along the recorded current of each run as well"
+            )
         return _along(self.runs[best], signals, shifts[best], self.runs[best].force)
 
 

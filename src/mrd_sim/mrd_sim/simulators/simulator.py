@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Self
 
 import numpy as np
@@ -61,6 +61,8 @@ class Simulator(ABC):
         What opens it, as on the command line (`mrd_sim.simulators.opening.open_simulator`).
     parameters : mapping
         What may be changed, by name.
+    values : mapping
+        What was changed, by name.
     answers_anew : bool
         Whether it answers to any motion; recordings answer to their own only.
     notes : tuple of str
@@ -72,6 +74,7 @@ class Simulator(ABC):
     name: str
     source: str
     parameters: Mapping[str, SimulatorParameter]
+    values: Mapping[str, float] = MappingProxyType({})
     answers_anew: bool = True
     notes: tuple[str, ...] = ()
     limitations: tuple[str, ...] = ()
@@ -94,6 +97,9 @@ class Simulator(ABC):
 
     def close(self) -> None:  # noqa: B027, most have nothing to end
         """End whatever runs for the simulator."""
+
+    def reopen(self) -> None:  # noqa: B027
+        """Start what runs for the simulator once more, where it has ended."""
 
     def __enter__(self) -> Self:
         return self
