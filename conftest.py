@@ -34,6 +34,18 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 stale_kernels.delete_stale_kernels(Path(__file__).parent / "src")
 
 
+LONGEST = (
+    *("test_diagnose.py", "test_rejection_rules.py", "test_partial_explanation.py", "test_processing.py", "test_setup.py"),
+    *("test_own_simulator.py", "test_recovery.py", "test_metamorphic.py", "test_control_diagnosis.py"),
+)
+"""Test files that take minutes; they begin first, so that no worker is left with one of them at the end."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests of the longest files first."""
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
+
+
 @pytest.fixture(autouse=True, scope="session")
 def drawn_once() -> Iterator[None]:
     """The pages of many tests have figures in common; each is drawn once. The same figure has the same drawing."""

@@ -13,6 +13,7 @@ from mrd_base import InputError
 from mrd_diagnosis import diagnose
 from mrd_diagnosis.cli import diagnose as diagnose_tool
 from mrd_diagnosis.decision import verdict as rules_of_verdict
+from mrd_diagnosis.decision.rejection_rules import RULES
 from mrd_diagnosis.diagnosis import UNDETERMINED, Interval
 from mrd_diagnosis.fitting.base_fit import LinearisedRefit, fit_base
 from mrd_diagnosis.fitting.refit import refit_on
@@ -110,6 +111,13 @@ def test_the_effect_is_named_with_its_size_and_what_it_closes(explained):
     assert explained.sentence.startswith("The force channel is late by 1")
     assert explained.corrected.parameters["channel_delay.delay"] == diagnosis.value
     assert explained.held_out_by == "leave-one-run-out"
+
+
+def test_every_effect_that_was_tried_is_named_or_rejected(explained):
+    named, rejected = ([entry.effect for entry in entries] for entries in (explained.causes, explained.rejected))
+    tried = [candidate.effects[0] for candidate in explained.candidates if len(candidate.effects) == 1]
+    assert sorted(named + rejected) == sorted(tried)
+    assert {entry.rule for entry in explained.rejected} <= {rule.id for rule in RULES}
 
 
 def test_the_gap_is_located(explained):

@@ -1,6 +1,7 @@
 """Damper tests: what they expand to, that it keeps the limits of a bench of any size, and what they refuse."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,7 @@ def test_what_a_test_chooses_keeps_the_limits_of_any_bench(test: str, bench: Gen
     step = DAMPER_TESTS[test](name="t", **REQUIRED.get(test, {}))
     experiments = experiments_of(step, bench)
     assert len({one.name for one in experiments}) == len(experiments)
-    for experiment in experiments:
+    for experiment in dict.fromkeys(replace(one, name="t", description="") for one in experiments):
         peaks = plan(experiment, bench.limits, bench.force_envelope).peaks
         assert all(peak.value <= peak.limit * (1 + 1e-6) for peak in peaks if peak.quantity != "least current")
         amplitude = experiment.rod.amplitude

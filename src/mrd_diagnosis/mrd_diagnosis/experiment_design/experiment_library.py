@@ -1,7 +1,8 @@
 """Library of experiments from which the next one is chosen; none exceeds the limits of the bench."""
 
-from collections.abc import Container, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from mrd_runs.scales import REFERENCE, Scales
 from mrd_trajectory.experiment import Experiment
@@ -147,7 +148,7 @@ def _candidates(sizes: Sizes) -> Iterator[tuple[str, str, Waveform, Waveform]]:
     yield "micro_strokes", f"strokes of {text(0.4)} down to {text(0.04)} mm at high currents", micro, high
 
 
-def library(bench: GeneratorSettings, sizes: Sizes = Sizes(), names: Container[str] | None = None) -> tuple[Plan, ...]:
+def library(bench: GeneratorSettings, sizes: Sizes = Sizes(), names: Collection[str] | None = None) -> tuple[Plan, ...]:
     """Return experiments of about a quarter of a minute, each within the limits of a bench; with ``names``, only these.
 
     Motion and current of an experiment beyond a limit are scaled down; one that does not fit even then is left out. The last
@@ -155,6 +156,11 @@ def library(bench: GeneratorSettings, sizes: Sizes = Sizes(), names: Container[s
 
     The experiments are code and not files, so that they come with the package and adapt to the limits of any bench.
     """
+    return _planned(bench, sizes, None if names is None else frozenset(names))
+
+
+@lru_cache(maxsize=8)
+def _planned(bench: GeneratorSettings, sizes: Sizes, names: frozenset[str] | None) -> tuple[Plan, ...]:
     experiments = [
         Experiment(name, DURATION, RATE, rod, coil, description=description)
         for name, description, rod, coil in _candidates(sizes)
