@@ -155,6 +155,8 @@ def test_a_person_is_led_through_a_measurement_by_hand(tmp_path: Path) -> None:
     try:
         wait_for(asked(1), process, 500)
         os.write(ours, b"\n")
+        wait_for(lambda: "Enter goes on" in log.read_text(), process)
+        os.write(ours, b"\n")
         wait_for(asked(2), process)
         assert f"recorded: {out / 'by_hand' / 'measurement_1'}" in log.read_text()
         assert "is not used: measurement_1: the rod rests" in log.read_text()
@@ -210,7 +212,9 @@ def test_an_emergency_stop_ends_it(bench: Any, tmp_path: Path, phase: str) -> No
     assert not result.success
     assert "emergency stop" in result.message
     if phase == "it records":
-        assert [path.name for path in (tmp_path / "out" / "round_1").iterdir()] == [FIRST[0]]
+        assert [path.name for path in (tmp_path / "out" / "round_1").iterdir()] == ["incomplete"]
+        assert len(read_run(tmp_path / "out" / "round_1" / "incomplete" / f"{FIRST[0]}_1")) > 0
+    assert result.bench_failed
     refused = bench.client.run_set([SHORT], tmp_path / "later", 0)
     assert not refused.success
     assert not (tmp_path / "later").exists()

@@ -453,6 +453,8 @@ def _is_gone(bench: Bench, name: str) -> bool:
 
 def _look_at_bag(bench: Bench, begun: float, rest: float, fault: Fault) -> tuple[str, str]:
     """Return until when the bag goes, and what is wrong with it."""
+    if not bench.bag.exists() and (aside := bench.bag.parent / "incomplete" / f"{bench.bag.name}_1").exists():
+        bench.bag = aside  # where a diagnosis puts a recording that has failed
     if not bench.bag.exists():
         return "none", "" if fault.at_random or not fault.recorded else "nothing was recorded"
     try:

@@ -1,7 +1,7 @@
 """Description of a conclusion: how far the gap closes, where it lies, everything that was tried, and what to record next."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -74,9 +74,11 @@ def describe(
     is_open = has_gap and not (verdict == "explained" or (verdict == "ambiguous" and bool(conclusion.causes)))
     harmful = {entry.effect for entry in conclusion.rejected if entry.rule == "worse"}
     models = list_alternative_models(comparison, fitted.other_models, rng) if is_open else ()
-    if has_gap:
-        progress("designing the next experiment", 0.96)
-    advice = _advice(fitted, conclusion, rng, request.bench) if has_gap else None
+
+    def designing(fraction: float) -> None:
+        progress("designing the next experiment", 0.96 + 0.03 * fraction)
+
+    advice = _advice(fitted, conclusion, rng, request.bench, designing) if has_gap else None
     progress("done", 1.0)
     return Diagnosis(
         model=start.model,
@@ -136,11 +138,15 @@ def _gap(start: Start, weighting: Weighting, closure: Closure, location: _Locati
 
 
 def _advice(
-    fitted: FittedExplanation, conclusion: Conclusion, rng: np.random.Generator, bench: GeneratorSettings | None
+    fitted: FittedExplanation,
+    conclusion: Conclusion,
+    rng: np.random.Generator,
+    bench: GeneratorSettings | None,
+    progress: Callable[[float], None],
 ) -> Advice | None:
     """Advise what to record next; what a rule rejected may be there all the same, if the rule leaves that open."""
     rejected = {entry.effect: leaves_open(entry.rule) for entry in conclusion.rejected}
-    return advise_next(fitted.explanation, rejected, fitted.singles, rng, bench)
+    return advise_next(fitted.explanation, rejected, fitted.singles, rng, bench, progress)
 
 
 def _corrected(start: Start, complete: ModelComparison, before: Mapping[str, float]) -> CorrectedSimulator:

@@ -60,11 +60,14 @@ def explain_gap(
     other_models: dict[str, Refit] = {}
     probabilities = probabilities_of_alternatives(comparison, rng)
     verdict = verdict_on_gap(complete, base.chi_square, probabilities, p_values, rng)
+
+    def models(fraction: float) -> None:
+        progress("trying other damper models", 0.45 + 0.05 * fraction)
+
     if verdict in ("explained", "ambiguous"):
         # Before an effect is named: another damper model may explain as much without any.
-        progress("trying other damper models", 0.45)
         excess = comparison.best.chi_square - 1.0
-        other_models = fit_alternative_models(comparison.weighting, comparison.base, excess, rng)
+        other_models = fit_alternative_models(comparison.weighting, comparison.base, excess, rng, models)
         is_complete = complete is comparison
         comparison = comparison.with_alternative_models(other_models)
         complete = comparison if is_complete else complete.with_alternative_models(other_models)
@@ -73,9 +76,8 @@ def explain_gap(
     explanation = Explanation(verdict, comparison, probabilities, p_values)
     if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
         if not other_models:
-            progress("trying other damper models", 0.45)
             tolerated = tolerated_excess(comparison.base)
-            other_models = fit_alternative_models(comparison.weighting, comparison.base, tolerated, rng)
+            other_models = fit_alternative_models(comparison.weighting, comparison.base, tolerated, rng, models)
         # Of one stroke, nothing tells an effect from the form.
         one_stroke = repeats_one_stroke([recording.run for recording in weighting.recordings])
         explanation = explain_in_part(

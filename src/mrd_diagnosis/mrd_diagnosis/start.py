@@ -105,9 +105,11 @@ def around_simulator(
 
 def around_best_model(start: Start, request: Request) -> Start:
     """Start from the model of the catalogue that predicts the recordings best."""
-    request.progress("choosing the damper model", 0.02)
+    stage = "choosing the damper model"
+    request.progress(stage, 0.02)
     rng = np.random.default_rng(request.seed)
-    best = best_model(start.model, thinned(start.recordings.after, MOST_SAMPLES), rng)
+    few = thinned(start.recordings.after, MOST_SAMPLES)
+    best = best_model(start.model, few, rng, lambda fraction: request.progress(stage, 0.02 + 0.03 * fraction))
     tried = ", ".join(sorted({start.model.id, *OTHER_MODELS}))
     note = f"Of the damper models that were tried ({tried}), {best.id} predicts these recordings best."
     return replace(start, model=best, notes=(note,))

@@ -273,7 +273,7 @@ def test_an_effect_is_not_explained_where_another_damper_model_does_as_much(monk
     module = importlib.import_module("mrd_diagnosis.explain_gap")
     asked = []
 
-    def as_good(effect, weighting, base, _enough, _rng):
+    def as_good(effect, weighting, base, *_):
         asked.append(effect)
         (fit,) = refit_with_effects(weighting, LinearisedRefit.around(weighting, base), [effect], 1)
         return {"modified_lugre": fit.refit}

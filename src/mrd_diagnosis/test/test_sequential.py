@@ -15,13 +15,14 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_diagnosis.diagnose import diagnose
-from mrd_diagnosis.diagnosis import Interval, Rejected
+from mrd_diagnosis.diagnosis import Advice, Interval, Rejected
 from mrd_diagnosis.experiment_design.experiment_library import Sizes, usual_bench
 from mrd_diagnosis.experiment_design.information import expected_information
 from mrd_diagnosis.experiment_design.separation import Separation
 from mrd_diagnosis.report.page import write_gap_report
+from mrd_diagnosis.sequential import recorded, sequential
 from mrd_diagnosis.sequential.first_set import FIRST_SET, first_set
-from mrd_diagnosis.sequential.recorded import folder_of_round, read_recorded, set_aside_incomplete
+from mrd_diagnosis.sequential.recorded import folder_of_round, read_later_rounds, read_recorded, set_aside_incomplete
 from mrd_diagnosis.sequential.report import write_sequential_report
 from mrd_diagnosis.sequential.sequential import diagnose_sequentially, open_candidates
 from mrd_diagnosis.wording.quantities import probability_clause
@@ -29,7 +30,7 @@ from mrd_runs import Run, read_run
 from mrd_runs.bag_import import write_bag
 from mrd_sim.models import MODELS
 from mrd_sim.simulate import Damper, measure_plans
-from mrd_trajectory.experiment import Experiment
+from mrd_trajectory.experiment import Experiment, format_experiment
 from mrd_trajectory.plan import Plan, plan
 from mrd_trajectory.settings import GeneratorSettings
 from mrd_trajectory.waveforms import Constant
@@ -227,3 +228,76 @@ def test_what_is_seen_but_not_determined_stays_a_candidate():
     rejected = entry(LAG, "on_bound", True), entry(DELAY, "on_bound", False), entry("backlash", "little", True)
     diagnosis = SimpleNamespace(causes=(), alternatives=(), rejected=rejected)
     assert open_candidates(diagnosis) == {LAG: 0.7}
+
+
+def test_recordings_of_later_rounds_count_from_the_first_one_on(monkeypatch):
+    """A measurement by hand makes other experiments come next; what was recorded for the former ones is no less true."""
+    seen = []
+
+    def diagnosed(runs, *_, progress, **__):
+        seen.append([run.name for run in runs])
+        return SimpleNamespace(
+            verdict="ambiguous", causes=(), alternatives=(), rejected=(), next_experiment=Advice("", experiment), sentence=""
+        )
+
+    monkeypatch.setattr(sequential, "diagnose", diagnosed)
+    monkeypatch.setattr(sequential, "preflight", lambda runs: ())
+    experiment = format_experiment(first_set(BENCH)[0].experiment)
+    bench = bench_with({})
+    first, by_hand, later = bench(1, first_set(BENCH)[:1]), bench(9, first_set(BENCH)[1:2]), bench(2, first_set(BENCH)[2:3])
+    numbers = []
+
+    def record(number, plans):
+        numbers.append(number)
+        return [replace(first[0], name=f"recorded_{number}")] if plans else []
+
+    found = diagnose_sequentially(
+        record,
+        "bouc_wen",
+        bench=BENCH,
+        budget=60.0,
+        first=first_set(BENCH)[:1],
+        further=by_hand,
+        earlier=later,
+        earlier_rounds=3,
+    )
+    assert seen[0] == ["recorded_1", later[0].name, by_hand[0].name]
+    assert [one.number for one in found.rounds] == [1, 5, 6]
+    assert set(numbers) == {1, 5, 6}
+    # They take their share of the budget.
+    assert found.rounds[0].duration == first[0].duration + later[0].duration
+    assert found.ending == "budget"
+
+
+def test_a_recording_counts_once():
+    bench = bench_with({})
+    (run,) = bench(1, first_set(BENCH)[:1])
+    known = replace(run, info={**run.info, "checksum": "abc"})
+    with pytest.raises(InputError, match=r"copy: is the recording .* of this diagnosis; leave it out"):
+        diagnose_sequentially(
+            lambda number, plans: [known] if plans else [],
+            bench=BENCH,
+            first=first_set(BENCH)[:1],
+            further=[replace(known, name="copy")],
+        )
+
+
+def test_later_rounds_are_read_without_reports_and_what_is_incomplete(tmp_path):
+    first, second, tenth = first_set(BENCH)[:3]
+    for planned, folder in (first, "round_1"), (second, "round_2"), (tenth, "round_10"), (first, "round_2/incomplete"):
+        (tmp_path / folder).mkdir(parents=True)
+        record(planned, tmp_path / folder)
+    (tmp_path / "round_2" / "report").mkdir()
+    runs, rounds = read_later_rounds(tmp_path)
+    assert [Path(run.info["source"]).name for run in runs] == [second.experiment.name, tenth.experiment.name]
+    assert rounds == 9
+    assert read_later_rounds(tmp_path / "round_1") == ([], 0)
+
+
+def test_a_recording_that_has_lost_samples_is_recorded_again(tmp_path, monkeypatch):
+    planned = first_set(BENCH)[0]
+    record(planned, tmp_path)
+    assert set_aside_incomplete([planned], tmp_path) == []
+    read = recorded.read_run
+    monkeypatch.setattr(recorded, "read_run", lambda bag: replace(run := read(bag), info={**run.info, "lost": 40}))
+    assert set_aside_incomplete([planned], tmp_path) == [tmp_path / "incomplete" / f"{planned.experiment.name}_1"]

@@ -2,6 +2,7 @@
 
 import itertools
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +17,23 @@ BY_HAND = 12.0
 
 
 def recorded_in(folder: Path) -> list[Path]:
-    """Return the recordings of the rounds of a diagnosis in its folder."""
-    return sorted(path.parent for path in folder.glob("round_*/*/metadata.yaml"))
+    """Return the recordings of the rounds of a diagnosis in its folder, and those that ended early."""
+    found = [*folder.glob("round_*/*/metadata.yaml"), *folder.glob("round_*/incomplete/*/metadata.yaml")]
+    return sorted(path.parent for path in found)
 
 
-def tell_what_is_kept(folder: Path) -> None:
-    """Print what an interrupted diagnosis has recorded, and how to go on with it."""
-    for bag in recorded_in(folder):
+def tell_what_is_kept(folder: Path, by_hand: Sequence[Path] = ()) -> None:
+    """Print what an interrupted diagnosis has recorded, and how to go on with it and with measurements that were made by
+    hand; nothing where it has recorded nothing.
+    """
+    bags = [*recorded_in(folder), *by_hand]
+    for bag in bags:
         print(f"recorded until then: {bag}", file=sys.stderr)
-    print(f"go on by the same command with --resume --output {folder}", file=sys.stderr)
+    if bags:
+        added = "".join(f" {bag}" for bag in by_hand)
+        print(
+            f"go on by the same command with --resume --output {folder}{' --add' if added else ''}{added}", file=sys.stderr
+        )
 
 
 def diagnose_on_bench(client: BenchClient, goal: DiagnoseOnBench.Goal) -> None:
@@ -34,28 +43,55 @@ def diagnose_on_bench(client: BenchClient, goal: DiagnoseOnBench.Goal) -> None:
     on with its recording. The process ends with status 1 where the diagnosis could not be finished; what was recorded until
     then is kept.
     """
+    by_hand: list[Path] = []
     result = _diagnose(client, goal)
-    if not result.success:
-        tell_what_is_kept(Path(goal.folder))
-        print(f"error: {result.message or 'the diagnoser failed; look at its log'}", file=sys.stderr)
-        sys.exit(1)
-    _tell(result)
-    while result.ending == "nothing_separates" and sys.stdin.isatty():
-        run = _measurement_by_hand(client, Path(goal.folder))
-        if not run:
-            break
-        goal.runs = [*goal.runs, str(run)]
-        further = _diagnose(client, goal)
-        if further.success:
-            result = further
-            _tell(result)
-        else:
-            print(f"{run}: is not used: {further.message or 'the diagnoser failed; look at its log'}")
-            goal.runs = goal.runs[:-1]
+    while result.success:
+        _tell(result)
+        measured = _measure_until_used(client, goal) if result.ending == "nothing_separates" and sys.stdin.isatty() else None
+        if measured is None:
+            _tell_next(result, goal)
+            return
+        run, result = measured
+        by_hand.append(run)
+    tell_what_is_kept(Path(goal.folder), by_hand)
+    print(f"error: {_reason(result)}", file=sys.stderr)
+    sys.exit(1)
+
+
+def _measure_until_used(client: BenchClient, goal: DiagnoseOnBench.Goal) -> tuple[Path, Any] | None:
+    """Lead a person through measurements by hand until one is used, or the bench is stopped; return its recording, which is
+    then one of the goal, and the result. None where the person ends here.
+    """
+    while (run := _measurement_by_hand(client, Path(goal.folder))) and _may_move(client):
+        runs, goal.runs = list(goal.runs), [*goal.runs, str(run)]
+        result = _diagnose(client, goal)
+        if result.success or result.bench_failed:
+            return run, result
+        print(f"{run}: is not used: {_reason(result)}")
+        goal.runs = runs
+    return None
+
+
+def _may_move(client: BenchClient) -> bool:
+    """Ask whether the bench may move again: a person has worked at it. A stop from then on counts, not one before."""
+    print(
+        "The diagnosis goes on with it, and may record again: the rod MOVES then. Connect the drive, remove what you have "
+        "put in, and step back; reset the bench if you have stopped it. Enter goes on, q ends here:",
+        flush=True,
+    )
+    return client.read_line().lower() not in ("q", "quit")
+
+
+def _reason(result: Any) -> str:
+    return result.message or "the diagnoser failed; look at its log"
+
+
+def _tell_next(result: Any, goal: DiagnoseOnBench.Goal) -> None:
+    """Print what follows from the answer, and where its report is."""
     if result.ending == "nothing_separates":
         print(
             "go on with that measurement by: ros2 run mrd_bench_driver bench, with the same options and "
-            f"--resume --output {goal.folder} --add RUN"
+            f"--resume --output {goal.folder} --add {' '.join([*goal.runs, 'RUN'])}"
         )
     if result.next_command:
         print(f"next command: {result.next_command}")
@@ -63,7 +99,8 @@ def diagnose_on_bench(client: BenchClient, goal: DiagnoseOnBench.Goal) -> None:
 
 
 def _diagnose(client: BenchClient, goal: DiagnoseOnBench.Goal) -> Any:
-    """Run the diagnosis of a goal, print what each round added, and return its result."""
+    """Run the diagnosis of a goal, print what each round added, and return its result. A stop from now on ends it."""
+    goal.stops = client.stops
     printed = 0
     with shown_progress("diagnosing on the bench") as report:
 

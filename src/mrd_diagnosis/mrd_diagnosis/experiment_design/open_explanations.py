@@ -1,9 +1,10 @@
 """Open explanations: which of them the next experiment has to tell apart."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from mrd_base.progress import ignore
 from mrd_diagnosis.decision.explanation import Explanation
 from mrd_diagnosis.diagnosis import Advice
 from mrd_diagnosis.experiment_design.advice import advise
@@ -24,6 +25,7 @@ def advise_next(
     singles: Sequence[EffectFit],
     rng: np.random.Generator,
     bench: GeneratorSettings | None = None,
+    progress: Callable[[float], None] = ignore,
 ) -> Advice | None:
     """Advise what to record to tell explanations apart that are open.
 
@@ -40,6 +42,8 @@ def advise_next(
         Each effect by itself.
     rng : numpy Generator
     bench : GeneratorSettings, optional
+    progress : callable
+        Called with the fraction of the work that is done.
 
     Returns
     -------
@@ -77,6 +81,7 @@ def advise_next(
         probabilities={name: float(likely.get(name, 0.0)) for name in names},
         without=without,
         bench=bench,
+        progress=progress,
     )
 
 

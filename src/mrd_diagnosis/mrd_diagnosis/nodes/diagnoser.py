@@ -14,10 +14,10 @@ from mrd_base.json_file import make_folder
 from mrd_base.nodes.bench_node import run_node
 from mrd_base.nodes.graph import DIAGNOSE, DIAGNOSE_ON_BENCH
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
-from mrd_diagnosis.nodes.recording_client import RecordingClient
+from mrd_diagnosis.nodes.recording_client import BenchError, RecordingClient
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.report.sentences import next_command
-from mrd_diagnosis.sequential.recorded import folder_of_round, read_recorded, set_aside_incomplete
+from mrd_diagnosis.sequential.recorded import folder_of_round, read_later_rounds, read_recorded, set_aside_incomplete
 from mrd_diagnosis.sequential.report import command_after, write_sequential_report
 from mrd_diagnosis.sequential.sequential import BUDGET, Round, diagnose_sequentially
 from mrd_identification.fit_file import read_fit
@@ -58,11 +58,24 @@ class Diagnoser(AnalysisNode):
         self, request: DiagnoseOnBench.Goal, publish: Callable[[Any], None], result: DiagnoseOnBench.Result
     ) -> None:
         """Record and diagnose in turn, and write the reports of every round. A stop of the bench ends it."""
+        try:
+            self._record_and_diagnose(request, publish, result)
+        except BenchError:
+            result.bench_failed = True
+            raise
+
+    def _record_and_diagnose(
+        self, request: DiagnoseOnBench.Goal, publish: Callable[[Any], None], result: DiagnoseOnBench.Result
+    ) -> None:
         stops = self._bench.require_idle()
+        if request.stops and request.stops != stops:
+            raise BenchError("the bench was stopped since the diagnosis was asked for")
         folder = make_folder(request.folder).resolve()
         bench = read_settings(request.bench or os.environ.get("MRD_BENCH"))
         parameters = read_fit(request.parameters) if request.parameters else None
         further = read_runs(request.runs) if request.runs else []
+        # With other recordings, other experiments come next: then the rounds until now are no steps to them.
+        earlier, earlier_rounds = read_later_rounds(folder) if further else ([], 0)
         rounds: list[Round] = []
         reached: dict[int, float] = {}
 
@@ -96,6 +109,8 @@ class Diagnoser(AnalysisNode):
                 bench=bench,
                 budget=request.budget or BUDGET,
                 further=further,
+                earlier=earlier,
+                earlier_rounds=earlier_rounds,
                 parameters=parameters,
                 seed=request.seed,
                 on_round=on_round,

@@ -11,6 +11,7 @@ from rclpy.task import Future
 
 from mrd_base import InputError
 from mrd_base.nodes.graph import BENCH_STATE, REFUSALS, RUN_EXPERIMENT
+from mrd_diagnosis.sequential.recorded import set_aside
 from mrd_interfaces.action import RunExperiment
 from mrd_interfaces.msg import BenchState
 from mrd_runs.nodes.analysis_node import AnalysisNode
@@ -25,6 +26,14 @@ ACCEPT_TIMEOUT, END_TIMEOUT = 30.0, 90.0
 REASON_TIMEOUT = 2.0
 # Wall time in s between two looks whether the diagnosis was cancelled.
 LOOK = 0.2
+
+
+class BenchError(InputError):
+    """Raised where the bench, and no recording, is the reason that a diagnosis cannot go on."""
+
+
+class SupervisorGoneError(BenchError):
+    """Raised where nobody can tell any more how a recording ended."""
 
 
 class RecordingClient:
@@ -51,24 +60,24 @@ class RecordingClient:
 
         Raises
         ------
-        InputError
+        BenchError
             Where no supervisor is heard, or the bench does something else or has a fault.
         """
         if not (self._heard.wait(HEARD_TIMEOUT) and self._run.wait_for_server(HEARD_TIMEOUT)):
-            raise InputError(f"no supervisor was heard within {HEARD_TIMEOUT:g} s; start the bench, or look at its log")
+            raise BenchError(f"no supervisor was heard within {HEARD_TIMEOUT:g} s; start the bench, or look at its log")
         state = self._state
         if state.mode == BenchState.FAULT:
-            raise InputError(f"the bench is in mode fault ({state.message}); look why, then call reset_fault")
+            raise BenchError(f"the bench is in mode fault ({state.message}); look why, then call reset_fault")
         if state.mode != BenchState.IDLE:
-            raise InputError(f"the bench is busy ({state.message}); wait for the end of the run, or call stop")
+            raise BenchError(f"the bench is busy ({state.message}); wait for the end of the run, or call stop")
         return int(state.stops)
 
     def require_no_stop_since(self, stops: int) -> None:
-        """Raise `InputError` where the bench was stopped, or got another supervisor, since it had counted so many stops."""
+        """Raise `BenchError` where the bench was stopped, or got another supervisor, since it had counted so many stops."""
         state = self._state
         if state.stops != stops:
             why = f": {state.message}" if state.mode == BenchState.FAULT else " by somebody, or its supervisor started again"
-            raise InputError(f"the bench was stopped{why}")
+            raise BenchError(f"the bench was stopped{why}")
 
     def record(self, planned: Plan, folder: Path, seed: int, stops: int, progress: Callable[[str, float], None]) -> None:
         """Record one experiment into a folder, in which its bag has the name of the experiment.
@@ -87,8 +96,8 @@ class RecordingClient:
 
         Raises
         ------
-        InputError
-            Where the recording is refused, ends early, or nobody answers, with the reason.
+        BenchError
+            Where the recording is refused, ends early, or nobody answers, with the reason. What ended early is set aside.
         """
         name = planned.experiment.name
         latest = ("waiting for the bench", 0.0)
@@ -102,10 +111,11 @@ class RecordingClient:
         self._refusals.clear()
         accepted = self._in_executor(lambda: self._run.send_goal_async(goal, feedback_callback=on_feedback))
         if not _is_done(accepted, ACCEPT_TIMEOUT):
-            raise InputError(f"the supervisor did not accept {name} within {ACCEPT_TIMEOUT:g} s; look at its log")
+            accepted.add_done_callback(_cancel)  # nobody waits for its recording any more
+            raise BenchError(f"the supervisor did not accept {name} within {ACCEPT_TIMEOUT:g} s; look at its log")
         handle = accepted.result()
         if not handle.accepted:
-            raise InputError(f"the supervisor refused {name}: {self._reason()}")
+            raise BenchError(f"the supervisor refused {name}: {self._reason()}")
         ended = self._in_executor(handle.get_result_async)
         try:
             self._follow(ended, stops, lambda: progress(f"recording {name}: {latest[0]}", latest[1]))
@@ -113,11 +123,14 @@ class RecordingClient:
             raise
         except BaseException:
             handle.cancel_goal_async()
-            self._await_end(ended)
+            if self._await_end(ended):
+                set_aside(folder / name)
             raise
         result = ended.result().result
         if not result.success:
-            raise InputError(f"the recording of {name} ended early: {result.message}")
+            # It may hold nearly all of its experiment, but with samples lost or with the end of a stop in it.
+            set_aside(folder / name)
+            raise BenchError(f"the recording of {name} ended early: {result.message}")
 
     def _follow(self, ended: Future, stops: int, progress: Callable[[], None]) -> None:
         """Wait for the end of a recording as long as there is the supervisor that could tell it."""
@@ -146,7 +159,7 @@ class RecordingClient:
         try:
             return sent.result(ACCEPT_TIMEOUT)
         except TimeoutError:
-            raise InputError("the diagnoser ends") from None
+            raise BenchError("the diagnoser ends") from None
 
     def _reason(self) -> str:
         """Return why the latest goal was refused."""
@@ -158,8 +171,10 @@ class RecordingClient:
         return "its log tells why"
 
 
-class SupervisorGoneError(InputError):
-    """Raised where nobody can tell any more how a recording ended."""
+def _cancel(accepted: Future) -> None:
+    handle = accepted.result()
+    if handle.accepted:
+        handle.cancel_goal_async()
 
 
 def _is_done(future: Future, timeout: float) -> bool:

@@ -1,10 +1,11 @@
 """Alternative models: another damper model in the place of effects, because what is missing may be no effect at all."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base.progress import ignore
 from mrd_diagnosis.fitting.base_fit import fit_base, global_fit
 from mrd_diagnosis.fitting.refit import Refit, refit
 from mrd_diagnosis.fitting.weighting import Weighting
@@ -14,6 +15,7 @@ from mrd_identification.recording import Recording, current_levels
 from mrd_sim.models import DamperModel, find_model
 
 Array = NDArray[np.float64]
+Progress = Callable[[float], None]
 
 OTHER_MODELS = (
     "hyperbolic_tangent",
@@ -34,7 +36,9 @@ EVALUATIONS = 15
 """Evaluations of a model with more freedom, from where it was fitted without."""
 
 
-def fit_alternative_models(weighting: Weighting, base: Refit, enough: float, rng: np.random.Generator) -> dict[str, Refit]:
+def fit_alternative_models(
+    weighting: Weighting, base: Refit, enough: float, rng: np.random.Generator, progress: Progress = ignore
+) -> dict[str, Refit]:
     """Refit the base model with more freedom and other models, by name, until one of them explains the gap.
 
     Parameters
@@ -45,9 +49,13 @@ def fit_alternative_models(weighting: Weighting, base: Refit, enough: float, rng
     enough : float
         Excess of the reduced chi-square over 1 that an explanation may leave.
     rng : numpy Generator
+    progress : callable
+        Called with the fraction of the work that is done at most, before each model.
     """
-    refits = {}
-    for name, model, freed, start in _alternatives(weighting, base):
+    refits: dict[str, Refit] = {}
+    alternatives = list(_alternatives(weighting, base))
+    for place, (name, model, freed, start) in enumerate(alternatives):
+        progress(place / len(alternatives))
         plain, _ = make_problem(model, weighting.recordings, fixed=weighting.fixed, freed=freed)
         if start is None:
             theta = global_fit(plain, None, rng, RANDOM_STARTS, 1)
@@ -59,7 +67,9 @@ def fit_alternative_models(weighting: Weighting, base: Refit, enough: float, rng
     return refits
 
 
-def best_model(start: DamperModel, recordings: Sequence[Recording], rng: np.random.Generator) -> DamperModel:
+def best_model(
+    start: DamperModel, recordings: Sequence[Recording], rng: np.random.Generator, progress: Progress = ignore
+) -> DamperModel:
     """Return the damper model that predicts held-out folds of recordings best, without effects and more freedom.
 
     Parameters
@@ -68,9 +78,11 @@ def best_model(start: DamperModel, recordings: Sequence[Recording], rng: np.rand
         Model with which the noise is estimated.
     recordings : sequence of Recording
     rng : numpy Generator
+    progress : callable
+        As of `fit_alternative_models`.
     """
     fit = fit_base(start, None, recordings, rng)
-    others = fit_alternative_models(fit.weighting, fit.base, -np.inf, rng)
+    others = fit_alternative_models(fit.weighting, fit.base, -np.inf, rng, progress)
     # The diagnosis would go on without the freedom of a model with more parameters fitted.
     refits = [fit.base, *(refitted for refitted in others.values() if all(p.free for p in refitted.problem.parameters))]
     return min(refits, key=lambda refitted: refitted.held_out_cost).problem.model

@@ -36,21 +36,37 @@ def set_aside_incomplete(plans: Sequence[Plan], folder: Path) -> list[Path]:
     moved = []
     for planned in plans:
         bag = folder / planned.experiment.name
-        if not bag.exists() or _is_whole(bag, planned.duration):
-            continue
-        (folder / "incomplete").mkdir(exist_ok=True)
-        places = (folder / "incomplete" / f"{bag.name}_{number}" for number in itertools.count(1))
-        place = next(place for place in places if not place.exists())
-        moved.append(bag.rename(place))
+        if bag.exists() and not _is_whole(bag, planned.duration):
+            moved.append(set_aside(bag))
     return moved
 
 
+def set_aside(bag: Path) -> Path:
+    """Move a recording into ``incomplete`` in its folder, and return where it is now; none that does not exist."""
+    if not bag.exists():
+        return bag
+    folder = bag.parent / "incomplete"
+    folder.mkdir(exist_ok=True)
+    places = (folder / f"{bag.name}_{number}" for number in itertools.count(1))
+    return bag.rename(next(place for place in places if not place.exists()))
+
+
 def _is_whole(bag: Path, duration: float) -> bool:
+    """Whether a recording holds its whole experiment, without samples that are lost."""
     try:
-        require_whole(read_run(bag), bag, duration)
+        run = read_run(bag)
+        require_whole(run, bag, duration)
     except InputError:
         return False
-    return True
+    return not run.info.get("lost")
+
+
+def read_later_rounds(folder: Path) -> tuple[list[Run], int]:
+    """Return the recordings of all rounds but the first one of a diagnosis, and the number of these rounds."""
+    rounds = {int(path.name.removeprefix("round_")): path for path in folder.glob("round_*")}
+    later = [rounds[number] for number in sorted(rounds) if number > 1]
+    bags = [bag for path in later for bag in sorted(path.iterdir()) if (bag / "metadata.yaml").exists()]
+    return [read_run(bag) for bag in bags], max(rounds, default=1) - 1
 
 
 def read_recorded(plans: Sequence[Plan], folder: Path) -> list[Run]:

@@ -95,6 +95,8 @@ def diagnose_sequentially(
     budget: float = BUDGET,
     first: Sequence[Plan] = (),
     further: Sequence[Run] = (),
+    earlier: Sequence[Run] = (),
+    earlier_rounds: int = 0,
     parameters: StoredFit | None = None,
     effects: Sequence[str] = (),
     seed: int = 0,
@@ -112,6 +114,10 @@ def diagnose_sequentially(
     further : sequence of Run
         Recordings of the same damper that a person made, such as those that an earlier diagnosis advised; they are diagnosed
         with all others.
+    earlier : sequence of Run
+        Recordings of further rounds of a diagnosis that was ended and goes on; the first round has them as well.
+    earlier_rounds : int
+        Number of these rounds; the second round now has the number behind them.
     model, parameters, effects, seed
         As of `mrd_diagnosis.diagnose.diagnose`.
     bench : GeneratorSettings
@@ -142,14 +148,16 @@ def diagnose_sequentially(
     rounds: list[Round] = []
     runs: list[Run] = []
     while True:
-        number = len(rounds) + 1
+        number = len(rounds) + 1 + (earlier_rounds if rounds else 0)
         new: list[Run] = []
         if not rounds:
             # A fault of the measurement shows in the first recording; the others would have it as well.
             new, asked = record(number, asked[:1]), asked[1:]
         if rounds or not any(finding.severity == "fault" for finding in preflight(new)):
             new += record(number, asked)
+        new += [] if rounds else earlier
         runs += new
+        _require_none_twice(runs, further)
         diagnosis = diagnose(
             [*runs, *further],
             model,
@@ -168,6 +176,14 @@ def diagnose_sequentially(
         asked = [plan(experiment, bench.limits, bench.force_envelope) for experiment in _advised(diagnosis)]
         if ended := _ending(diagnosis, asked, left):
             return SequentialDiagnosis(tuple(rounds), *ended)
+
+
+def _require_none_twice(runs: Sequence[Run], further: Sequence[Run]) -> None:
+    """Refuse a further recording that is one of the diagnosis already: it would count twice."""
+    known = {run.info.get("checksum"): run.name for run in runs}
+    for run in further:
+        if (checksum := run.info.get("checksum")) and checksum in known:
+            raise InputError(f"{run.name}: is the recording {known[checksum]} of this diagnosis; leave it out")
 
 
 def open_candidates(diagnosis: Diagnosis) -> dict[str, float]:

@@ -41,7 +41,8 @@ class Offer:
         Raises `InputError` for a goal that cannot be worked on, as far as that shows at once.
     work : callable
         Fills a result for a goal; called in the worker thread with the goal, a function that publishes feedback, and the
-        result. The function raises `CancelledError` when the goal was cancelled or the node is closing.
+        result, whose message is the reason where it raises `InputError` or `OSError`. The function that publishes raises
+        `CancelledError` when the goal was cancelled or the node is closing.
     """
 
     action: Action
@@ -97,7 +98,7 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
         try:
             await self._in_worker(lambda: offer.work(goal.request, publish, result))
         except (InputError, OSError) as error:
-            result = offer.action.type.Result(message=_in_one_line(error))
+            result.message = _in_one_line(error)
             goal.abort()
         except CancelledError:
             result = offer.action.type.Result(message="cancelled")
