@@ -117,7 +117,8 @@ class BenchNode(Node, Generic[C]):
     dynamic : frozenset of str
         YAML keys of the configuration that may change while the node runs; the node passes each to `accept_parameter`.
     alone : bool
-        Whether a second node of this name is refused, because the two would command or record the same bench.
+        Whether a second node of this name is refused, because the two would command or record the same bench, or take the
+        same goals.
     config : dataclass
         Configuration at start, in SI units.
     hardware_id : str

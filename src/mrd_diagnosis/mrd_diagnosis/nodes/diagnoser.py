@@ -39,7 +39,12 @@ class Diagnoser(AnalysisNode):
         super().__init__(
             "diagnoser",
             Offer(DIAGNOSE, self.check, self.work),
-            Offer(DIAGNOSE_ON_BENCH, self.check_on_bench, self.work_on_bench),
+            Offer(
+                DIAGNOSE_ON_BENCH,
+                self.check_on_bench,
+                self.work_on_bench,
+                lambda error: {"bench_failed": isinstance(error, BenchError)},
+            ),
         )
         self._bench = RecordingClient(self)
 
@@ -58,15 +63,6 @@ class Diagnoser(AnalysisNode):
         self, request: DiagnoseOnBench.Goal, publish: Callable[[Any], None], result: DiagnoseOnBench.Result
     ) -> None:
         """Record and diagnose in turn, and write the reports of every round. A stop of the bench ends it."""
-        try:
-            self._record_and_diagnose(request, publish, result)
-        except BenchError:
-            result.bench_failed = True
-            raise
-
-    def _record_and_diagnose(
-        self, request: DiagnoseOnBench.Goal, publish: Callable[[Any], None], result: DiagnoseOnBench.Result
-    ) -> None:
         stops = self._bench.require_idle()
         if request.stops and request.stops != stops:
             raise BenchError("the bench was stopped since the diagnosis was asked for")

@@ -41,13 +41,15 @@ class Offer:
         Raises `InputError` for a goal that cannot be worked on, as far as that shows at once.
     work : callable
         Fills a result for a goal; called in the worker thread with the goal, a function that publishes feedback, and the
-        result, whose message is the reason where it raises `InputError` or `OSError`. The function that publishes raises
-        `CancelledError` when the goal was cancelled or the node is closing.
+        result. The function raises `CancelledError` when the goal was cancelled or the node is closing.
+    told : callable
+        Returns fields of the result, beside its message, for an error that ``work`` has raised.
     """
 
     action: Action
     check: Callable[[Any], None]
     work: Callable[[Any, Callable[[Any], None], Any], None]
+    told: Callable[[Exception], dict[str, Any]] = lambda _error: {}
 
 
 class CancelledError(Exception):
@@ -57,7 +59,8 @@ class CancelledError(Exception):
 class AnalysisNode(BenchNode[AnalysisSettings]):
     """Subscribes to ``samples`` and serves actions, one goal at a time, in a worker thread.
 
-    A goal that comes meanwhile, or that is refused, is rejected with the reason on ``refusals``.
+    A goal that comes meanwhile, or that is refused, is rejected with the reason on ``refusals``. A second node of the name
+    would take the same goals, and write into the same folders.
 
     Parameters
     ----------
@@ -70,6 +73,8 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
     stopping : threading.Event
         Set when the node ends.
     """
+
+    alone = True
 
     def __init__(self, name: str, *offers: Offer) -> None:
         super().__init__(name, AnalysisSettings)
@@ -98,7 +103,7 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
         try:
             await self._in_worker(lambda: offer.work(goal.request, publish, result))
         except (InputError, OSError) as error:
-            result.message = _in_one_line(error)
+            result = offer.action.type.Result(message=_in_one_line(error), **offer.told(error))
             goal.abort()
         except CancelledError:
             result = offer.action.type.Result(message="cancelled")
