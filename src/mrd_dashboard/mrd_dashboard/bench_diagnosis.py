@@ -9,7 +9,9 @@ from mrd_base import InputError
 SHOWN = re.compile(r"diagnosis\.html|round_\d+/report/gap_report\.html")
 """Pages that it writes, below its folder."""
 
-WHY_PAUSED = "while the bench diagnoses"
+WHY_HELD = "while the bench diagnoses"
+WHY_FAILED = "after the diagnosis has failed"
+"""Why the queue waits, while a diagnosis goes on, and after one that has failed."""
 
 
 @dataclass(frozen=True)

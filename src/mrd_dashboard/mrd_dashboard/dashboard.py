@@ -13,7 +13,7 @@ from mrd_base import InputError
 from mrd_base.lease import Mode
 from mrd_control.experiment import ControlExperiment, parse_control_experiment
 from mrd_dashboard.audit import AuditLog
-from mrd_dashboard.bench_diagnosis import WHY_PAUSED, BenchDiagnosis, BenchDiagnosisOutcome, BenchDiagnosisRequest
+from mrd_dashboard.bench_diagnosis import WHY_FAILED, WHY_HELD, BenchDiagnosis, BenchDiagnosisOutcome, BenchDiagnosisRequest
 from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.control_right import ControlRight, NoControlError
 from mrd_dashboard.dampers import Dampers
@@ -267,13 +267,14 @@ class Dashboard:
         if self.bench.mode is Mode.FAULT:
             raise InputError("the bench is in mode fault; reset the fault first")
         self.bench_diagnosis.begin(request)
+        self.queue.held = WHY_HELD
+        if self.queue.why == WHY_FAILED:
+            self.queue.paused = False  # it waited for this one
         _beside(self, self._diagnose(request))
         return f"the bench records and diagnoses; its files are in {request.folder}"
 
     async def _diagnose(self, request: BenchDiagnosisRequest) -> None:
-        """Diagnose on the bench. The queue goes on afterwards, unless it waited before or somebody has stopped the bench."""
-        waited = self.queue.paused
-        self.queue.pause(WHY_PAUSED)
+        """Diagnose on the bench. The queue goes on afterwards, unless that has failed, or the queue is paused besides."""
         try:
             outcome = await self.commands.diagnose(request, self.bench_diagnosis.progress)
         except InputError as error:
@@ -281,8 +282,9 @@ class Dashboard:
         except Exception as error:  # else it would seem to go on for ever
             outcome = BenchDiagnosisOutcome(False, f"{type(error).__name__}: {error}; please report this")
         self.bench_diagnosis.end(outcome)
-        if outcome.success and not waited and self.queue.why == WHY_PAUSED:
-            self.queue.paused = False
+        self.queue.held = ""
+        if not (outcome.success or self.queue.paused):
+            self.queue.pause(WHY_FAILED)
         self.recordings.expire()
         self.audit.write("page", "diagnose on the bench", str(request.folder), self.bench_diagnosis.sentence)
 
@@ -299,6 +301,8 @@ class Dashboard:
             if not self.queue.paused:
                 self.queue.pause("by the operator")
                 return "the queue waits"
+            if self.queue.held:
+                raise InputError(f"the queue waits {self.queue.held}; wait for the end of that, or cancel it")
             if self.bench.mode is Mode.FAULT:
                 raise InputError("the bench is in mode fault, so that the next run would fail; reset the fault first")
             self.queue.paused = False

@@ -84,6 +84,8 @@ class RunQueue:
         Whether the next run waits for the operator: at first, and after a run that failed.
     why : str
         Since what it is paused, such as "after a stop".
+    held : str
+        While what the runs wait besides, such as "while the bench diagnoses", or "". Nobody can resume them then.
     problem : str
         Why the file could not be written, or "".
     stops : int
@@ -97,6 +99,7 @@ class RunQueue:
     runs: list[QueuedRun] = field(default_factory=list)
     paused: bool = False
     why: str = ""
+    held: str = ""
     problem: str = ""
     stops: int = 0
     heard: int = 0
@@ -188,8 +191,8 @@ class RunQueue:
         self._keep()
 
     def next(self) -> QueuedRun | None:
-        """Return the run whose turn it is; None while one runs, while the queue is paused, or when none waits."""
-        if self.paused or self.running is not None:
+        """Return the run whose turn it is; None while one runs, while the queue is paused or held, or when none waits."""
+        if self.paused or self.held or self.running is not None:
             return None
         return next((run for run in self.runs if run.state == "waiting"), None)
 
@@ -219,8 +222,8 @@ class RunQueue:
         """Return what the queue does, and what waits in it."""
         waiting = self.waiting
         waits = f"{len(waiting)} waiting, next is {waiting[0].name}" if waiting else "nothing waits"
-        if self.paused:
-            return f"{' '.join(filter(None, ('queue paused', self.why)))}: {waits}"
+        if self.paused or self.held:
+            return f"{' '.join(filter(None, ('queue paused', self.held or self.why)))}: {waits}"
         if self.running is None and not waiting:
             return "queue empty"
         runs = [f"{self.running.name} runs"] if self.running else []

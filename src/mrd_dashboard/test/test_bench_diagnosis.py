@@ -58,6 +58,73 @@ def test_after_a_stop_or_a_refusal_the_queue_goes_on_waiting(dashboard: Dashboar
     asyncio.run(run())
 
 
+def test_nobody_resumes_the_queue_while_the_bench_diagnoses(visit, dashboard: Dashboard, commands: Any) -> None:
+    dashboard.control.take(ANN.session, ANN.name)
+    dashboard.queue.add("sine", "name: sine", 3.0)
+    dashboard.queue.pause("by the operator")
+
+    async def work(user: User) -> None:
+        await user.should_see(marker="go-on")
+        dashboard.diagnose_on_bench("auto", 120.0)
+        await user.should_not_see(marker="go-on", retries=30)
+        answer = await dashboard.change_pause(ANN)
+        assert not answer.success
+        assert answer.message.startswith("the queue waits while the bench diagnoses; wait for the end")
+        assert dashboard.queue.next() is None
+        user.find("Runs").click()
+        await user.should_see("1 waiting, about 8 s left, paused", retries=30)
+        await user.should_not_see(marker="pause", retries=30)
+        commands.go_on.set()
+        await user.should_see("queue paused by the operator", retries=30)
+        await user.should_see(marker="go-on", retries=30)
+        await user.should_see(marker="pause", retries=30)
+
+    visit(work)
+
+
+def test_no_run_begins_between_the_wish_for_a_diagnosis_and_its_start(dashboard: Dashboard) -> None:
+    async def run() -> None:
+        dashboard.queue.add("sine", "name: sine", 3.0)
+        dashboard.diagnose_on_bench("auto", 120.0)
+        assert dashboard.queue.next() is None
+
+    asyncio.run(run())
+
+
+def test_after_a_failure_the_queue_waits_for_the_next_diagnosis_alone(dashboard: Dashboard, commands: Any) -> None:
+    async def run() -> None:
+        dashboard.queue.add("sine", "name: sine", 3.0)
+        commands.refusal = "budget: is 1 s, expected at least 12 s"
+        dashboard.diagnose_on_bench("auto", 1.0)
+        await asyncio.gather(*dashboard.tasks)
+        assert dashboard.queue.sentence().startswith("queue paused after the diagnosis has failed: ")
+        commands.refusal = ""
+        commands.go_on.set()
+        dashboard.go_on_diagnosing([])
+        assert dashboard.queue.next() is None
+        await asyncio.gather(*dashboard.tasks)
+        assert dashboard.queue.next() is not None
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize("refusal", ["", "the node diagnoser does not answer"])
+def test_a_queue_that_was_paused_before_stays_so_for_its_own_reason(
+    dashboard: Dashboard, commands: Any, refusal: str
+) -> None:
+    async def run() -> None:
+        dashboard.queue.add("sine", "name: sine", 3.0)
+        dashboard.queue.pause("after run 1, sine, has failed")
+        commands.refusal = refusal
+        commands.go_on.set()
+        dashboard.diagnose_on_bench("auto", 120.0)
+        await asyncio.gather(*dashboard.tasks)
+        assert dashboard.queue.sentence().startswith("queue paused after run 1, sine, has failed: ")
+        assert dashboard.queue.next() is None
+
+    asyncio.run(run())
+
+
 def test_a_run_of_the_queue_is_not_disturbed(dashboard: Dashboard) -> None:
     run = dashboard.queue.add("sine", "name: sine", 3.0)
     dashboard.queue.start(run.number, Path("bag"))

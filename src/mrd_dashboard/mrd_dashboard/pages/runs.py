@@ -205,9 +205,10 @@ def _queue(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> Non
             return
         queue = dashboard.queue
         waiting = sum(run.state == "waiting" for run in queue.runs)
-        paused = ", paused" if queue.paused else ""
+        paused = ", paused" if queue.paused or queue.held else ""
         left.text = f"{waiting} waiting, about {queue.time_left:.0f} s left{paused}" if queue.time_left else f"empty{paused}"
         pause.text = "Resume" if queue.paused else "Pause"
+        pause.set_visibility(not (queue.paused and queue.held))
         running = queue.running
         bar.value = min(1.0, running.elapsed / running.duration) if running else 0.0
         state = [(run.number, run.state, run.phase, run.message) for run in queue.runs]

@@ -190,7 +190,7 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
         released[0] = not fault
         queue.text = dashboard.queue.sentence()
         release.text = "Reset fault" if fault else "Resume queue"
-        release.set_visibility(fault or dashboard.queue.paused)
+        release.set_visibility(fault or (dashboard.queue.paused and not dashboard.queue.held))
         holds = right.holds(who.session)
         control.text = "Release control" if holds else "Take control"
         holder.text = "you hold control" if holds else f"{right.name} holds control" if right.holder else "nobody in control"
