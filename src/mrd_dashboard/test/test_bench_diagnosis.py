@@ -1,6 +1,7 @@
 """The diagnosis on the bench from the page: it holds the queue back, tells how far it is, and shows its report."""
 
 import asyncio
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -188,5 +189,34 @@ def test_the_card_starts_it_and_tells_what_was_found(visit, dashboard: Dashboard
         commands.go_on.set()
         await user.should_see("The force sensor lags by 2 ms.", retries=30)
         await user.should_see("Round 1: 2 effects may be the cause.")
+
+    visit(work)
+
+
+def test_the_card_looks_for_recordings_outside_the_loop_that_serves_the_stop(
+    visit, dashboard: Dashboard, commands: Any, new_bag: Callable[[Path], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    new_bag(dashboard.recordings.folder / "blow")
+    searched, search = [], dashboard.recordings.search
+
+    def noted(text: str = "") -> Any:
+        searched.append(threading.current_thread())
+        return search(text)
+
+    monkeypatch.setattr(dashboard.recordings, "search", noted)
+    commands.refusal = "the node diagnoser does not answer"
+    dashboard.control.take(ANN.session, ANN.name)
+
+    async def work(user: User) -> None:
+        user.find("Guide").click()
+        user.find(marker="diagnose-on-bench").click()
+        await user.should_see(marker="go-on-diagnosing", retries=30)
+        (field,) = user.find(marker="by-hand").elements
+        for _ in range(60):
+            if "blow" in field.options:
+                break
+            await asyncio.sleep(0.1)
+        assert "blow" in field.options
+        assert threading.main_thread() not in searched
 
     visit(work)

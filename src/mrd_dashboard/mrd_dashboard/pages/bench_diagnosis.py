@@ -16,8 +16,8 @@ MODEL_CHOICES = {BEST_MODEL: "the one that predicts best", **{name: name for nam
 """Damper models to choose from, as the page names them."""
 
 
-def bench_diagnosis_card(dashboard: Dashboard, who: Visitor) -> Callable[[], None]:
-    """Build the card; return the function that shows how far the diagnosis is."""
+def bench_diagnosis_card(dashboard: Dashboard, who: Visitor) -> tuple[Callable[[], None], RecordingsField]:
+    """Build the card; return the function that shows how far the diagnosis is, and the field of recordings by hand."""
     form: dict[str, Any] = {"model": BEST_MODEL, "budget": BUDGET}
     shown: list[object] = [None]
 
@@ -56,7 +56,7 @@ def bench_diagnosis_card(dashboard: Dashboard, who: Visitor) -> Callable[[], Non
             ui.button("Cancel", on_click=cancel).props("outline dense no-caps padding='2px 10px'").mark("cancel-diagnosis")
         rows = ui.column().classes("w-full gap-1")
         with ui.row().classes("w-full items-end gap-3") as further:
-            by_hand = RecordingsField("recordings of the measurement by hand").props("dense").classes("grow")
+            by_hand = RecordingsField("recordings of the measurement by hand").props("dense").classes("grow").mark("by-hand")
             ui.button("Go on", on_click=go_on).props("no-caps unelevated").mark("go-on-diagnosing")
         report = ui.button("Report").props('outline no-caps target=_blank href="/bench_diagnosis/diagnosis.html"')
         report.mark("bench-diagnosis-report")
@@ -68,8 +68,6 @@ def bench_diagnosis_card(dashboard: Dashboard, who: Visitor) -> Callable[[], Non
         stage.text = f"round {state.round}: {state.stage}"
         bar.value = state.share
         further.set_visibility(state.can_go_on)
-        if state.can_go_on:
-            by_hand.offer(dashboard.recordings.search())
         report.set_visibility(bool(state.folder and not state.running and (state.folder / "diagnosis.html").is_file()))
         said = (tuple(state.added), state.sentence)
         if said != shown[0]:
@@ -81,4 +79,4 @@ def bench_diagnosis_card(dashboard: Dashboard, who: Visitor) -> Callable[[], Non
                 if state.sentence:
                     ui.label(state.sentence).classes("text-sm font-medium break-words").mark("bench-diagnosis-found")
 
-    return refresh
+    return refresh, by_hand

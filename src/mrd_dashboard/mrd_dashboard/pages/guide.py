@@ -114,12 +114,13 @@ def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) ->
         with _step(cards, "validate"):
             if dashboard.plant:
                 ui.button("Apply to the simulator", on_click=apply).props("outline no-caps").mark("guide-apply")
-        on_bench = bench_diagnosis_card(dashboard, who)
+        on_bench, by_hand = bench_diagnosis_card(dashboard, who)
+    fields = runs, predicted, by_hand
 
     async def offer() -> None:
         if shown():
             recordings = await asyncio.to_thread(dashboard.recordings.search)
-            for field in (runs, predicted):
+            for field in fields:
                 field.offer(recordings)
 
     def refresh() -> None:
@@ -138,7 +139,7 @@ def guide_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) ->
 
     for card in cards.values():
         card.cancel.on_click(cancel)
-    for field in (runs, predicted):
+    for field in fields:
         field.on("input-value", offer)
     refresh()
     ui.timer(2.0, offer)
