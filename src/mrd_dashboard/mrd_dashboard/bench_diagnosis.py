@@ -1,10 +1,13 @@
 """A diagnosis on the bench, which records what it needs: how far it is, and what it has found."""
 
+import dataclasses
+import json
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from mrd_base import InputError
+from mrd_dashboard.kept_file import keep
 
 SHOWN = re.compile(r"diagnosis\.html|round_\d+/report/gap_report\.html")
 """Pages that it writes, below its folder."""
@@ -12,6 +15,11 @@ SHOWN = re.compile(r"diagnosis\.html|round_\d+/report/gap_report\.html")
 WHY_HELD = "while the bench diagnoses"
 WHY_FAILED = "after the diagnosis has failed"
 """Why the queue waits, while a diagnosis goes on, and after one that has failed."""
+INTERRUPTED = (
+    "The page was started again meanwhile. If the bench still works on this diagnosis, wait for its end or stop the bench; "
+    "then go on."
+)
+"""How a diagnosis has ended that went on when the page ended."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +61,13 @@ class BenchDiagnosisOutcome:
 class BenchDiagnosis:
     """The latest diagnosis on the bench.
 
+    Request and outcome are kept in a file, so that they outlive the page. One that went on when the page ended is still
+    ``running`` then.
+
     Attributes
     ----------
+    file : Path or None
+        Where it is kept.
     running : bool
     round : int
         From 1.
@@ -69,8 +82,11 @@ class BenchDiagnosis:
         What was asked for.
     can_go_on : bool
         Whether it was interrupted, or needs a measurement by hand.
+    problem : str
+        Why the file could not be written, or "".
     """
 
+    file: Path | None = None
     running: bool = False
     round: int = 0
     stage: str = ""
@@ -79,6 +95,25 @@ class BenchDiagnosis:
     sentence: str = ""
     request: BenchDiagnosisRequest | None = None
     can_go_on: bool = False
+    problem: str = ""
+
+    def __post_init__(self) -> None:
+        if self.file is None or not self.file.exists():
+            return
+        try:
+            kept = json.loads(self.file.read_text(encoding="utf-8"))
+            asked = {**kept["request"], "folder": Path(kept["request"]["folder"]), "runs": tuple(kept["request"]["runs"])}
+            self.request = BenchDiagnosisRequest(**asked)
+            self.running, self.can_go_on = bool(kept["running"]), bool(kept["can_go_on"])
+            self.added, self.sentence = [str(added) for added in kept["added"]], str(kept["sentence"])
+        except (ValueError, TypeError, KeyError, OSError):
+            self.request, self.running, self.can_go_on = None, False, False  # of another version
+
+    def _keep(self) -> None:
+        if self.request is not None:
+            request = {**dataclasses.asdict(self.request), "folder": str(self.request.folder)}
+            content = {name: getattr(self, name) for name in ("running", "can_go_on", "added", "sentence")}
+            self.problem = keep({"request": request, **content}, self.file, "the diagnosis on the bench")
 
     @property
     def folder(self) -> Path | None:
@@ -89,18 +124,21 @@ class BenchDiagnosis:
         """Begin a new one, or go on with the latest."""
         self.running, self.round, self.stage, self.share = True, 1, "waiting for the bench", 0.0
         self.added, self.sentence, self.request, self.can_go_on = [], "", request, False
+        self._keep()
 
     def progress(self, number: int, stage: str, share: float, added: str) -> None:
         """Note how far it is; ``added`` is what the round before this one has added."""
         self.round, self.stage, self.share = number, stage, share
         if added and len(self.added) < number - 1:
             self.added.append(added)
+            self._keep()
 
     def end(self, outcome: BenchDiagnosisOutcome) -> None:
         """Note how it ended."""
         self.running, self.stage = False, ""
         self.sentence = " ".join(filter(None, (outcome.message, outcome.why)))
         self.can_go_on = not outcome.success or outcome.ending == "nothing_separates"
+        self._keep()
 
     def page(self, name: str) -> Path:
         """Return the file of one of its pages.

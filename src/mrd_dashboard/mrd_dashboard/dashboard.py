@@ -13,7 +13,14 @@ from mrd_base import InputError
 from mrd_base.lease import Mode
 from mrd_control.experiment import ControlExperiment, parse_control_experiment
 from mrd_dashboard.audit import AuditLog
-from mrd_dashboard.bench_diagnosis import WHY_FAILED, WHY_HELD, BenchDiagnosis, BenchDiagnosisOutcome, BenchDiagnosisRequest
+from mrd_dashboard.bench_diagnosis import (
+    INTERRUPTED,
+    WHY_FAILED,
+    WHY_HELD,
+    BenchDiagnosis,
+    BenchDiagnosisOutcome,
+    BenchDiagnosisRequest,
+)
 from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.control_right import ControlRight, NoControlError
 from mrd_dashboard.dampers import Dampers
@@ -165,6 +172,8 @@ class Dashboard:
 
     def __post_init__(self) -> None:
         self.dampers = Dampers(self.recordings.folder)
+        if self.bench_diagnosis.running:
+            self._end_diagnosis(BenchDiagnosisOutcome(False, INTERRUPTED))
 
     async def act(
         self, who: Visitor, action: str, work: Callable[[], Awaitable[str]], detail: str = "", *, watching: bool = False
@@ -210,8 +219,8 @@ class Dashboard:
 
     @property
     def problem(self) -> str:
-        """Why queue, guide or audit log cannot be kept, or ""."""
-        return self.queue.problem or self.guide.problem or self.audit.problem
+        """Why queue, guide, the diagnosis on the bench or audit log cannot be kept, or ""."""
+        return self.queue.problem or self.guide.problem or self.bench_diagnosis.problem or self.audit.problem
 
     async def queue_set(self, name: str, files: Sequence[Path], damper: str = "") -> str:
         """Append all experiments of a set to the queue, or none; return one line.
@@ -257,7 +266,7 @@ class Dashboard:
             raise InputError("no diagnosis on the bench was interrupted or needs a measurement; begin a new one")
         runs = [str(self.recordings.find(name).path) for name in recordings]
         # Those of before are replaced: one that could not be used must not be in the way for ever.
-        return self._begin_diagnosis(dataclasses.replace(latest, runs=tuple(runs)))
+        return self._begin_diagnosis(dataclasses.replace(latest, runs=tuple(runs), bench=self.bench_file))
 
     def _begin_diagnosis(self, request: BenchDiagnosisRequest) -> str:
         if self.bench_diagnosis.running:
@@ -274,19 +283,22 @@ class Dashboard:
         return f"the bench records and diagnoses; its files are in {request.folder}"
 
     async def _diagnose(self, request: BenchDiagnosisRequest) -> None:
-        """Diagnose on the bench. The queue goes on afterwards, unless that has failed, or the queue is paused besides."""
         try:
             outcome = await self.commands.diagnose(request, self.bench_diagnosis.progress)
         except InputError as error:
             outcome = BenchDiagnosisOutcome(False, str(error))
         except Exception as error:  # else it would seem to go on for ever
             outcome = BenchDiagnosisOutcome(False, f"{type(error).__name__}: {error}; please report this")
+        self._end_diagnosis(outcome)
+
+    def _end_diagnosis(self, outcome: BenchDiagnosisOutcome) -> None:
+        """Note how a diagnosis has ended. The queue goes on, unless that is a failure, or the queue is paused besides."""
         self.bench_diagnosis.end(outcome)
         self.queue.held = ""
         if not (outcome.success or self.queue.paused):
             self.queue.pause(WHY_FAILED)
         self.recordings.expire()
-        self.audit.write("page", "diagnose on the bench", str(request.folder), self.bench_diagnosis.sentence)
+        self.audit.write("page", "diagnose on the bench", str(self.bench_diagnosis.folder), self.bench_diagnosis.sentence)
 
     async def call(self, who: Visitor, name: str) -> Answer:
         """Make one of the requests `CALLS`. Whoever sees the page may end a run."""

@@ -13,6 +13,7 @@ from nicegui.testing import User
 from mrd_base import InputError
 from mrd_dashboard.bench_diagnosis import BenchDiagnosis, BenchDiagnosisOutcome, BenchDiagnosisRequest
 from mrd_dashboard.dashboard import Dashboard, Visitor
+from mrd_dashboard.run_queue import RunQueue
 
 ANN = Visitor("a", "Ann")
 
@@ -220,3 +221,68 @@ def test_the_card_looks_for_recordings_outside_the_loop_that_serves_the_stop(
         assert threading.main_thread() not in searched
 
     visit(work)
+
+
+def test_a_page_that_is_started_again_goes_on_with_the_diagnosis(dashboard: Dashboard, commands: Any) -> None:
+    file = dashboard.recordings.folder / "bench_diagnosis.json"
+
+    def started_again() -> Dashboard:
+        return replace(dashboard, bench_diagnosis=BenchDiagnosis(file), queue=RunQueue(), bench_file="present.yaml")
+
+    async def run() -> None:
+        first = started_again()
+        assert first.bench_diagnosis.request is None
+        first.diagnose_on_bench("bouc_wen", 240.0)
+        asked = first.bench_diagnosis.request
+        second = started_again()
+        state = second.bench_diagnosis
+        assert (state.request, state.running, state.can_go_on) == (asked, False, True)
+        assert state.sentence.startswith("The page was started again meanwhile.")
+        second.queue.add("sine", "name: sine", 3.0)
+        assert second.queue.next() is None
+        assert second.queue.why == "after the diagnosis has failed"
+        commands.go_on.set()
+        second.go_on_diagnosing([])
+        await asyncio.gather(*first.tasks, *second.tasks)
+        assert second.queue.next() is not None
+        third = started_again()
+        assert third.bench_diagnosis.sentence.startswith("The force sensor lags by 2 ms.")
+        assert third.bench_diagnosis.added == ["2 effects may be the cause."]
+        assert not third.bench_diagnosis.can_go_on
+        assert third.bench_diagnosis.page("diagnosis.html").is_file()
+        assert not third.queue.paused
+
+    asyncio.run(run())
+
+
+def test_a_diagnosis_goes_on_by_the_limits_that_the_bench_has_now(dashboard: Dashboard, commands: Any) -> None:
+    async def run() -> None:
+        state = dashboard.bench_diagnosis
+        state.begin(BenchDiagnosisRequest("auto", 180.0, dashboard.recordings.folder / "diagnosis-1", "before.yaml"))
+        state.end(BenchDiagnosisOutcome(False, "cancelled"))
+        dashboard.bench_file = "present.yaml"
+        commands.go_on.set()
+        dashboard.go_on_diagnosing([])
+        await asyncio.gather(*dashboard.tasks)
+        (asked,) = commands.asked
+        assert asked.bench == "present.yaml"
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[]", "{}", '{"request": null}', '{"request": {"folder": "x", "runs": [], "new": 1}}']
+)
+def test_a_diagnosis_of_another_version_is_forgotten(tmp_path: Path, content: str) -> None:
+    file = tmp_path / "bench_diagnosis.json"
+    file.write_text(content)
+    state = BenchDiagnosis(file)
+    assert (state.request, state.running, state.can_go_on) == (None, False, False)
+    state.begin(BenchDiagnosisRequest("auto", 180.0, tmp_path, ""))
+    assert BenchDiagnosis(file).running
+
+
+def test_the_page_tells_that_the_diagnosis_cannot_be_kept(dashboard: Dashboard, tmp_path: Path) -> None:
+    dashboard.bench_diagnosis = BenchDiagnosis(tmp_path / "missing" / "bench_diagnosis.json")
+    dashboard.bench_diagnosis.begin(BenchDiagnosisRequest("auto", 180.0, tmp_path, ""))
+    assert "the diagnosis on the bench will be lost with the page" in dashboard.problem

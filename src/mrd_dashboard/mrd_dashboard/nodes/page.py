@@ -49,7 +49,7 @@ from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.config import SupervisorConfig
 from mrd_dashboard.access import read_credentials
 from mrd_dashboard.audit import AuditLog
-from mrd_dashboard.bench_diagnosis import BenchDiagnosisOutcome, BenchDiagnosisRequest
+from mrd_dashboard.bench_diagnosis import BenchDiagnosis, BenchDiagnosisOutcome, BenchDiagnosisRequest
 from mrd_dashboard.bench_view import DAQ, SERVO, BenchView, NodeHealth
 from mrd_dashboard.control_right import ControlRight
 from mrd_dashboard.dashboard import Dashboard, Progress, RoundProgress, RunOutcome
@@ -282,6 +282,7 @@ class Page(BenchNode[PageConfig]):
             bench_file=bench,
             plant=str(plant) if plant.is_file() else "",
             guide=Guide(folder / "guide.json"),
+            bench_diagnosis=BenchDiagnosis(folder / "bench_diagnosis.json"),
         )
         self._listen()
         self._server = PageServer(dashboard, config.host, config.port, credentials, config.names)
