@@ -31,6 +31,8 @@ NOTES_REMEDY = "mend or remove the file, then its notes can be changed here"
 """It tells what to do about notes that cannot be read."""
 LONGEST_NOTE = 10_000
 """Characters."""
+DEPTH = 3
+"""Parts of the longest id: a diagnosis on the bench records into ``diagnosis-TIME/round_1/NAME``."""
 SCAN_PERIOD = 2.0
 """Wall time in s between two scans of the folders, however many pages are open."""
 _SCAN_SHARE = 0.1  # of a core that the scans may take, where there are very many recordings
@@ -125,7 +127,7 @@ def new_name(name: str) -> str:
 
 @dataclass
 class Recordings:
-    """The recordings in a folder, and in the folders therein.
+    """The recordings in a folder, and in the folders therein, as deep as `DEPTH`.
 
     Attributes
     ----------
@@ -139,7 +141,7 @@ class Recordings:
     def __post_init__(self) -> None:
         self.folder = self.folder.expanduser().resolve()
         self.folder.mkdir(parents=True, exist_ok=True)
-        self._all = Scan(lambda: sorted(self._scan(self.folder, 2), key=lambda found: (-found.modified, found.id)))
+        self._all = Scan(lambda: sorted(self._scan(self.folder, DEPTH), key=lambda found: (-found.modified, found.id)))
 
     def search(self, search: str = "") -> list[Recording]:
         """Return the recordings that match a search, the latest first, as of `SCAN_PERIOD` ago at most."""
@@ -195,7 +197,7 @@ class Recordings:
         """
         parts = recording.split("/")
         path = self.folder.joinpath(*parts)
-        inside = 1 <= len(parts) <= 2 and all(part and part[0] != "." and "\0" not in part for part in parts)
+        inside = 1 <= len(parts) <= DEPTH and all(part and part[0] != "." and "\0" not in part for part in parts)
         if not inside or path.resolve() != path or not (_is_closed(path) or _has_samples(path)):
             raise InputError(f"{recording[:200]}: no recording of {self.folder} has this name; look at the list again")
         notes, problem = self._read_notes(path)

@@ -64,6 +64,29 @@ def test_recordings_are_found_with_their_notes(dashboard, new_bag) -> None:
     assert recordings.find("set/a").notes.temperature == 31.5
 
 
+def test_the_recordings_of_a_diagnosis_are_listed_found_and_looked_at(dashboard, new_bag) -> None:
+    folder = dashboard.recordings.folder / "diagnosis-20260101-120000"
+    by_hand = new_bag(folder / "by_hand/measurement_1")
+    recorded = new_bag(folder / "round_1/large_random_current")
+    killed = folder / "round_2/small_current"
+    killed.mkdir(parents=True)
+    (killed / "small_current_0.mcap").touch()
+    new_bag(folder / "round_2/incomplete/small_current")
+    listed = {one.path: one for one in dashboard.recordings.search()}
+    assert listed.keys() == {by_hand, recorded, killed}
+    assert all(dashboard.recordings.find(one.id) == one for one in listed.values())
+    assert not listed[killed].closed
+    asyncio.run(dashboard.look(listed[recorded]))
+    assert dashboard.known_look(listed[recorded]) is not None
+
+
+@pytest.mark.parametrize("name", ["a/b/../c", "a/./b", "/a/b", "a//b", "a/.b/c", "a/b/c/d"])
+def test_a_path_that_leads_elsewhere_is_no_recording(dashboard, new_bag, name: str) -> None:
+    new_bag(dashboard.recordings.folder / "a/b/c/d")
+    with pytest.raises(InputError, match="no recording"):
+        dashboard.recordings.find(name)
+
+
 def test_notes_are_kept_in_the_folder_of_the_recording(dashboard, new_bag) -> None:
     path = new_bag(dashboard.recordings.folder / "sine-1")
     notes = Notes(text="<script>alert(1)</script>: 'x'\nsecond line", tags=("a", "b"))
