@@ -124,7 +124,7 @@ def bench_processes(
         *controllers,
         ProcessSpec("mrd_bench_driver", "supervisor", supervisor, (bench,)),
         # Without the diagnoser there is no diagnosis on the bench; the page does without it.
-        *([ProcessSpec("mrd_diagnosis", "diagnoser", guest=not diagnoser)] if diagnoser or page else []),
+        *([ProcessSpec("mrd_diagnosis", "diagnoser", files=(bench,), guest=not diagnoser)] if diagnoser or page else []),
         *([_page(bench, plant)] if page else []),
     ]
 

@@ -1,10 +1,12 @@
 """The diagnosis on the bench from the page: it holds the queue back, tells how far it is, and shows its report."""
 
 import asyncio
+import re
 import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,6 +15,7 @@ from nicegui.testing import User
 from mrd_base import InputError
 from mrd_dashboard.bench_diagnosis import BenchDiagnosis, BenchDiagnosisOutcome, BenchDiagnosisRequest
 from mrd_dashboard.dashboard import Dashboard, Visitor
+from mrd_dashboard.nodes.page import RosCommands, bench_file
 from mrd_dashboard.run_queue import RunQueue
 
 ANN = Visitor("a", "Ann")
@@ -286,3 +289,30 @@ def test_the_page_tells_that_the_diagnosis_cannot_be_kept(dashboard: Dashboard, 
     dashboard.bench_diagnosis = BenchDiagnosis(tmp_path / "missing" / "bench_diagnosis.json")
     dashboard.bench_diagnosis.begin(BenchDiagnosisRequest("auto", 180.0, tmp_path, ""))
     assert "the diagnosis on the bench will be lost with the page" in dashboard.problem
+
+
+def test_the_page_sends_a_path_of_the_bench_file_that_holds_in_any_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "bench.yaml").write_text("/**/supervisor:\n  ros__parameters: {rate_hz: 25}\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    whole = str(tmp_path / "bench.yaml")
+    assert bench_file("bench.yaml", []) == whole
+    assert bench_file("~/bench.yaml", []) == whole
+    assert bench_file("", ["page", "--ros-args", "--params-file", "bench.yaml"]) == whole
+    monkeypatch.setenv("MRD_BENCH", "bench.yaml")
+    assert bench_file("", ["page"]) == whole
+
+
+def test_a_missing_diagnoser_is_started_where_the_bench_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    commands = RosCommands.__new__(RosCommands)
+    commands._diagnose = SimpleNamespace(server_is_ready=lambda: False)
+    commands._node = SimpleNamespace(get_namespace=lambda: "/rig")
+    request = BenchDiagnosisRequest("auto", 180.0, Path("diagnosis"), "/my bench/bench.yaml")
+    command = (
+        "ROS_DOMAIN_ID=42 ros2 run mrd_diagnosis diagnoser --ros-args -r __ns:=/rig --params-file '/my bench/bench.yaml'"
+    )
+    with pytest.raises(InputError, match=re.escape(f"the node diagnoser does not answer; start it: {command}")):
+        asyncio.run(commands.diagnose(request, lambda *_: None))

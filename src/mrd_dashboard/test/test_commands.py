@@ -109,10 +109,10 @@ def test_the_limits_are_those_of_the_bench(tmp_path: Path, monkeypatch: pytest.M
     access.write_text("/**/page:\n  ros__parameters: {port: 8081}\n")
     given = ["page", "--ros-args", "--params-file", str(bench), "--params-file", str(access)]
     monkeypatch.setenv("MRD_BENCH", "of the shell.yaml")
-    assert page.bench_file("named.yaml", given) == "named.yaml"
+    assert page.bench_file("named.yaml", given) == str(Path("named.yaml").absolute())
     assert page.bench_file("", given) == str(bench)
     assert page.bench_file("", ["page", "--ros-args", "--params-file", str(BENCH)]) == str(BENCH)
-    assert page.bench_file("", given[:2] + given[4:]) == "of the shell.yaml"
+    assert page.bench_file("", given[:2] + given[4:]) == str(Path("of the shell.yaml").absolute())
     with pytest.raises(InputError, match="both"):
         page.bench_file("", [*given, "--params-file", str(BENCH)])
     monkeypatch.delenv("MRD_BENCH")

@@ -4,6 +4,7 @@ import asyncio
 import concurrent.futures
 import itertools
 import os
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from mrd_base import InputError, from_mapping, quantity, read_node_parameters, read_yaml
 from mrd_base.config import node_patterns
+from mrd_base.domain import present_domain
 from mrd_base.lease import Mode
 from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
 from mrd_base.nodes.graph import (
@@ -164,7 +166,10 @@ class RosCommands:
         """Send a diagnosis on the bench to the diagnoser, and return when it has ended."""
         client = self._diagnose
         if not client.server_is_ready():
-            raise InputError("the node diagnoser does not answer; start it: ros2 run mrd_diagnosis diagnoser")
+            raise InputError(
+                f"the node diagnoser does not answer; start it: ROS_DOMAIN_ID={present_domain()} ros2 run mrd_diagnosis diagnoser "
+                f"--ros-args -r __ns:={self._node.get_namespace()} --params-file {shlex.quote(request.bench)}"
+            )
         self._refusals.clear()
         goal = DiagnoseOnBench.Goal(
             model=request.model,
@@ -356,7 +361,7 @@ class Page(BenchNode[PageConfig]):
 
 
 def bench_file(named: str, arguments: Sequence[str]) -> str:
-    """Return the bench.yaml whose limits the bench has.
+    """Return the path of the bench.yaml whose limits the bench has; other nodes may run in other folders.
 
     Parameters
     ----------
@@ -371,17 +376,21 @@ def bench_file(named: str, arguments: Sequence[str]) -> str:
         When it is unknown: the page must not preview runs by other limits.
     """
     if named:
-        return named
+        return _absolute(named)
     files = [file for option, file in itertools.pairwise(arguments) if option == "--params-file"]
     own = set(node_patterns("supervisor")) - {"/**"}
     found = [file for file in files if own & read_yaml(file).keys()]
     if len(found) > 1:
         raise InputError(f"{' and '.join(found)} both have a section supervisor; name the bench's by the parameter bench")
     if bench := found[0] if found else os.environ.get("MRD_BENCH", ""):
-        return bench
+        return _absolute(bench)
     raise InputError(
         "the limits of the bench are unknown; give its bench.yaml by --params-file or the parameter bench, or set MRD_BENCH"
     )
+
+
+def _absolute(file: str) -> str:
+    return str(Path(file).expanduser().absolute())  # beside a link may stand another plant.yaml than beside its target
 
 
 def _experiments(folder: str) -> Path:
