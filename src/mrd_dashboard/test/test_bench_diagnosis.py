@@ -11,10 +11,13 @@ from typing import Any
 
 import pytest
 from nicegui.testing import User
+from rclpy.task import Future
 
 from mrd_base import InputError
+from mrd_base.nodes.graph import RUN_EXPERIMENT
 from mrd_dashboard.bench_diagnosis import BenchDiagnosis, BenchDiagnosisOutcome, BenchDiagnosisRequest
 from mrd_dashboard.dashboard import Dashboard, Visitor
+from mrd_dashboard.nodes import page
 from mrd_dashboard.nodes.page import RosCommands, bench_file
 from mrd_dashboard.run_queue import RunQueue
 
@@ -316,3 +319,43 @@ def test_a_missing_diagnoser_is_started_where_the_bench_is(monkeypatch: pytest.M
     )
     with pytest.raises(InputError, match=re.escape(f"the node diagnoser does not answer; start it: {command}")):
         asyncio.run(commands.diagnose(request, lambda *_: None))
+
+
+class Rejecting:
+    """A client of an action whose server answers a goal with a rejection, or not at all."""
+
+    def __init__(self, *, silent: bool) -> None:
+        self.silent = silent
+
+    def server_is_ready(self) -> bool:
+        return True
+
+    def send_goal_async(self, _goal: Any, feedback_callback: Any) -> Future:
+        sent = Future()
+        if not self.silent:
+            sent.set_result(SimpleNamespace(accepted=False))
+        return sent
+
+
+@pytest.mark.parametrize("silent", [False, True])
+@pytest.mark.parametrize("node", ["diagnoser", "supervisor"])
+def test_a_goal_that_is_not_accepted_names_the_node_of_its_action(
+    monkeypatch: pytest.MonkeyPatch, node: str, silent: bool
+) -> None:
+    monkeypatch.setattr(page, "_REASON_TIMEOUT", 0.0)
+    monkeypatch.setattr(page, "_ANSWER_TIMEOUT", 0.01)
+    commands = RosCommands.__new__(RosCommands)
+    commands._refusals = []
+    commands._node = SimpleNamespace(executor=SimpleNamespace(create_task=lambda work: work()))
+    commands._diagnose = Rejecting(silent=silent)
+    commands._runs = {"identification": (RUN_EXPERIMENT, commands._diagnose)}
+
+    async def ask() -> None:
+        if node == "diagnoser":
+            await commands.diagnose(BenchDiagnosisRequest("auto", 180.0, Path("diagnosis"), ""), lambda *_: None)
+        else:
+            await commands.run("identification", "name: sine", Path("bag"), 0, 1, lambda *_: None)
+
+    said = f"the {node}: no answer within" if silent else f"the {node} has rejected the goal; its log tells why"
+    with pytest.raises(InputError, match=said):
+        asyncio.run(ask())

@@ -342,10 +342,10 @@ class BenchClient:
         accepted = client.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
         # What comes from here on, ends the goal below.
         if not self.spin(accepted.done, ACCEPT_TIMEOUT, watch=False):
-            raise InputError(f"the supervisor did not accept the goal within {ACCEPT_TIMEOUT:g} s; look at its log")
+            raise InputError(f"the {action.node} did not accept the goal within {ACCEPT_TIMEOUT:g} s; look at its log")
         handle: ClientGoalHandle = accepted.result()
         if not handle.accepted:
-            return action.type.Result(message=self._reason(action.name))
+            return action.type.Result(message=self._reason(action))
         ended = handle.get_result_async()
         self._supervisor_heard = time.monotonic()
 
@@ -367,11 +367,12 @@ class BenchClient:
             raise
         return ended.result().result
 
-    def _reason(self, action: str) -> str:
+    def _reason(self, action: Action) -> str:
         """Return why a goal was rejected."""
+        prefix = f"{action.name}: "
 
         def reasons() -> list[str]:
-            return [text.removeprefix(f"{action}: ") for text in self._refusals if text.startswith(f"{action}: ")]
+            return [text.removeprefix(prefix) for text in self._refusals if text.startswith(prefix)]
 
         self.spin(lambda: bool(reasons()), _REASON_TIMEOUT)
-        return reasons()[-1] if reasons() else "the supervisor has rejected the goal; its log tells why"
+        return reasons()[-1] if reasons() else f"the {action.node} has rejected the goal; its log tells why"

@@ -46,6 +46,7 @@ from mrd_base.nodes.graph import (
     SERVO_STATE,
     SETPOINT,
     STOP,
+    Action,
 )
 from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.config import SupervisorConfig
@@ -119,7 +120,7 @@ class RosCommands:
             "reset fault": (RESET_FAULT.client(node), Trigger.Request(), _ANSWER_TIMEOUT),
         }
         self._runs = {
-            kind: (action.name, action.client(node))
+            kind: (action, action.client(node))
             for kind, action in {"identification": RUN_EXPERIMENT, "control": RUN_CONTROL}.items()
         }
         self._diagnose = DIAGNOSE_ON_BENCH.client(node)
@@ -143,7 +144,7 @@ class RosCommands:
 
     async def run(self, kind: Kind, experiment: str, bag: Path, seed: int, stops: int, progress: Progress) -> RunOutcome:
         """Send an experiment or a hybrid test to the supervisor, and return when it has ended."""
-        name, client = self._runs[kind]
+        action, client = self._runs[kind]
         if not client.server_is_ready():
             raise InputError("the bench does not answer; look whether its supervisor is up, then try again")
         self._refusals.clear()
@@ -155,9 +156,9 @@ class RosCommands:
             loop.call_soon_threadsafe(progress, message.feedback.phase, message.feedback.elapsed)
 
         sent = await self._in_executor(partial(client.send_goal_async, goal, feedback_callback=hear))
-        handle = await _answer(sent, _ANSWER_TIMEOUT, "the run")
+        handle = await _answer(sent, _ANSWER_TIMEOUT, f"the {action.node}")
         if not handle.accepted:
-            raise InputError(await self._reason(name))
+            raise InputError(await self._reason(action))
         awaited = await self._in_executor(handle.get_result_async)
         result = (await self._while_there(client, awaited)).result
         return RunOutcome(result.success, result.message, result.bag)
@@ -167,8 +168,8 @@ class RosCommands:
         client = self._diagnose
         if not client.server_is_ready():
             raise InputError(
-                f"the node diagnoser does not answer; start it: ROS_DOMAIN_ID={present_domain()} ros2 run mrd_diagnosis diagnoser "
-                f"--ros-args -r __ns:={self._node.get_namespace()} --params-file {shlex.quote(request.bench)}"
+                f"the node diagnoser does not answer; start it: ROS_DOMAIN_ID={present_domain()} ros2 run mrd_diagnosis "
+                f"diagnoser --ros-args -r __ns:={self._node.get_namespace()} --params-file {shlex.quote(request.bench)}"
             )
         self._refusals.clear()
         goal = DiagnoseOnBench.Goal(
@@ -185,9 +186,9 @@ class RosCommands:
             loop.call_soon_threadsafe(progress, heard.round, heard.stage, heard.fraction, heard.added)
 
         sent = await self._in_executor(partial(client.send_goal_async, goal, feedback_callback=hear))
-        handle = await _answer(sent, _ANSWER_TIMEOUT, "the diagnosis")
+        handle = await _answer(sent, _ANSWER_TIMEOUT, f"the {DIAGNOSE_ON_BENCH.node}")
         if not handle.accepted:
-            raise InputError(await self._reason(DIAGNOSE_ON_BENCH.name))
+            raise InputError(await self._reason(DIAGNOSE_ON_BENCH))
         self._diagnosis = handle
         awaited = await self._in_executor(handle.get_result_async)
         result = (await self._while_there(client, awaited, "diagnosis")).result
@@ -238,13 +239,13 @@ class RosCommands:
         gone = "diagnoser" if what == "diagnosis" and latest == supervisor else "supervisor"
         raise InputError(f"the {gone} has gone in the {what}; look at its log, start the bench again, and try again")
 
-    async def _reason(self, action: str) -> str:
-        prefix = f"{action}: "
+    async def _reason(self, action: Action) -> str:
+        prefix = f"{action.name}: "
         for _ in range(int(_REASON_TIMEOUT / 0.05)):
             if reasons := [text.removeprefix(prefix) for text in self._refusals if text.startswith(prefix)]:
                 return reasons[-1]
             await asyncio.sleep(0.05)
-        return "the supervisor has rejected the run; its log tells why"
+        return f"the {action.node} has rejected the goal; its log tells why"
 
 
 async def _answer(future: Any, timeout: float | None, what: str) -> Any:
