@@ -18,8 +18,8 @@ pytestmark = [pytest.mark.realtime, pytest.mark.timeout(400)]
 
 SHORT_ACCEPTANCE: dict[str, dict[str, Any]] = {
     "1_warm_up": {"test": "warm_up", "cycles": 15, "until": {"settled_percent": 3}},
-    "2_gas_force": {"test": "gas_force", "speeds_mm_per_s": [40, 20], "amplitude_mm": 10, "cycles": 1},
-    "3_seal_drag": {"test": "seal_drag", "speeds_mm_per_s": [10, 5], "amplitude_mm": 2, "cycles": 1},
+    "2_gas_force": {"test": "gas_force", "speeds_mm_per_s": [40, 20], "amplitude_mm": 10, "cycles": 2},
+    "3_seal_drag": {"test": "seal_drag", "speeds_mm_per_s": [10, 5], "amplitude_mm": 2, "cycles": 2},
     "4_speed_sweep": {"test": "speed_sweep", "speeds_mm_per_s": [100], "cycle_s": 0.8, "cycles": 2},
     "5_response_time": {"test": "response_time", "currents_mA": [200], "cycles": 2},
 }

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import stdtrit  # scipy.stats, which has it too, takes a third of a second to import
 
 RUNS_FOR_INTERVAL = 3
@@ -48,3 +49,18 @@ def average(numbers: Sequence[float], runs: Sequence[str]) -> Average:
         units = np.array([values[names == name].mean() for name in distinct])
     half = float(stdtrit(len(units) - 1, 0.975) * units.std(ddof=1) / math.sqrt(len(units)))
     return Average(value, value - half, value + half, float(values.std(ddof=1)), len(values), len(distinct))
+
+
+def intercept(columns: ArrayLike, numbers: ArrayLike) -> tuple[float, float, float]:
+    """Return the coefficient of the first column by least squares, half its 95 % interval, and the residual scatter.
+
+    Both are nan where there are as many coefficients as numbers.
+    """
+    design, values = np.asarray(columns, np.float64), np.asarray(numbers, np.float64)
+    inverse = np.linalg.pinv(design)
+    coefficients = inverse @ values
+    degrees = len(values) - design.shape[1]
+    if degrees < 1:
+        return float(coefficients[0]), math.nan, math.nan
+    scatter = float(np.linalg.norm(values - design @ coefficients)) / math.sqrt(degrees)
+    return float(coefficients[0]), float(stdtrit(degrees, 0.975)) * scatter * float(np.linalg.norm(inverse[0])), scatter

@@ -1,6 +1,6 @@
 """The result of a characterisation: numbers with their intervals and definitions, curves, and what was not recorded."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Literal
@@ -315,6 +315,11 @@ class Characterisation:
         from mrd_characterisation.listing import HEAD, value_row
 
         return [HEAD, *(value_row(value) for value in self.values)]
+
+
+def by_size(currents: Iterable[float]) -> list[float]:
+    """Return distinct currents from the smallest to the largest size: the sense in which a coil is driven counts last."""
+    return sorted(set(currents), key=lambda current: (abs(current), current))
 
 
 def _near(wanted: float | None, found: float | None, tolerance: float) -> bool:

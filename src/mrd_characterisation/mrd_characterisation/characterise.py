@@ -8,7 +8,7 @@ import numpy as np
 
 from mrd_base import InputError
 from mrd_characterisation.average import Average
-from mrd_characterisation.characterisation import QUANTITIES, SAME_CURRENT, Characterisation, Loop, Value
+from mrd_characterisation.characterisation import QUANTITIES, SAME_CURRENT, Characterisation, Loop, Value, by_size
 from mrd_characterisation.current_response import response_values, steps_of
 from mrd_characterisation.cycles import asymmetries, cycle_values, dynamic_ranges, representative_loop
 from mrd_characterisation.force_speed import (
@@ -19,7 +19,7 @@ from mrd_characterisation.force_speed import (
     peak_and_mean_forces,
     round_speeds,
 )
-from mrd_characterisation.slow_strokes import SLOW, gas_values, long_strokes, slow_pairs
+from mrd_characterisation.slow_strokes import SLOW, gas_values, long_strokes
 from mrd_characterisation.strokes import SETTLED, Cycle, Stroke, cycles_of, grouped, rounded, strokes_of
 from mrd_runs import Run
 from mrd_runs.run import checked_runs
@@ -80,20 +80,19 @@ def characterise(
     strokes = [stroke for of_run in of_runs for stroke in of_run if stroke.steady]
     cycles = [cycle for of_run in of_runs for cycle in cycles_of(of_run)]
     steps = [step for one in smoothed for step in steps_of(one, scale, fast)] if scale > 0.0 else []
-    levels = [[stroke for stroke in strokes if stroke.current == level] for level in sorted({s.current for s in strokes})]
+    currents = by_size(stroke.current for stroke in strokes)
+    levels = [[stroke for stroke in strokes if stroke.current == level] for level in currents]
     groups = _equal_cycles(cycles)
     periodic = {id(stroke) for cycle in cycles for stroke in (cycle.first, cycle.second)}
     least = LEAST_LENGTH * max((stroke.length for stroke in strokes), default=0.0)
-    read = [
-        [stroke for stroke in level if stroke.length >= least and (stroke.constant_speed or id(stroke) in periodic)]
-        for level in levels
-    ]
+    shown = [[stroke for stroke in level if stroke.constant_speed or id(stroke) in periodic] for level in levels]
+    read = [[stroke for stroke in level if stroke.length >= least] for level in shown]
+    short = [stroke for level in shown for stroke in level if stroke.length < least]
     readable = [stroke for level in read for stroke in level]
     if speeds:
         check_speeds(speeds, readable)
     forces = forces_at_speeds(read, speeds or round_speeds(read, round_to)) if readable else []
-    pairs = slow_pairs(levels[0], fast) if levels else []
-    gas, gas_curve = gas_values(pairs, levels[0][0].current if levels else 0.0)
+    gas, gas_curve = gas_values(levels[0], read[0], fast) if levels else ([], None)
     times, responses, notes = response_values(steps, scale)
     measured = [
         *peak_and_mean_forces(groups),
@@ -134,7 +133,7 @@ def characterise(
         tuple(_loops(groups)),
         tuple(responses),
         gas_curve,
-        (*_limitations(levels, groups, bool(gas), bool(steps), fast), *notes),
+        (*_limitations(levels, groups, gas, bool(steps), fast), *_too_short(short, least), *notes),
     )
 
 
@@ -199,7 +198,7 @@ def _extent(runs: Sequence[Run]) -> list[Value]:
 
 
 def _limitations(
-    levels: Sequence[Sequence[Stroke]], groups: Sequence[Sequence[Cycle]], has_gas: bool, has_steps: bool, fast: float
+    levels: Sequence[Sequence[Stroke]], groups: Sequence[Sequence[Cycle]], gas: Sequence[Value], has_steps: bool, fast: float
 ) -> list[str]:
     """Return what the recordings do not show, and what to record for it."""
     sentences = []
@@ -225,12 +224,14 @@ def _limitations(
             f"Only one steady current, {current:.3g} A, so no dynamic range. Repeat the strokes at the smallest and at the "
             "largest current."
         )
-    if levels and not has_gas:
+    found = {value.quantity for value in gas}
+    if levels and "gas_force" not in found:
         slowest = 1e3 * min(stroke.peak_speed for stroke in long_strokes(levels[0]))
+        missing = "no gas force" if "seal_drag" in found else "no gas force and no seal drag"
         sentences.append(
-            "No slow strokes in both directions at the smallest current, so no gas force and no seal drag: the slowest "
+            f"No slow strokes over the whole stroke in both directions at the smallest current, so {missing}: the slowest "
             f"has {slowest:.3g} mm/s. Record triangles over the whole stroke at {1e3 * SLOW * fast:.2g} mm/s or less, best "
-            "at two speeds."
+            "at two speeds, two cycles or more at each."
         )
     if not has_steps:
         sentences.append(
@@ -238,3 +239,17 @@ def _limitations(
             "levels, each held until the force has settled."
         )
     return sentences
+
+
+def _too_short(strokes: Sequence[Stroke], least: float) -> list[str]:
+    """Return which strokes show no force at a speed, because they are shorter than ``least`` in m."""
+    if not strokes:
+        return []
+    groups = grouped([stroke.peak_speed for stroke in strokes], float, lambda speed: SPEED_GROUP * speed)
+    speeds = ", ".join(f"{1e3 * float(np.median(group)):.3g}" for group in groups)
+    currents = ", ".join(f"{current:.3g}" for current in by_size(stroke.current for stroke in strokes))
+    return [
+        f"Strokes of {speeds} mm/s at {currents} A show no force at a speed and no seal drag: they are shorter than "
+        f"{1e3 * least:.3g} mm, {100 * LEAST_LENGTH:g} % of the longest one, so that the fluid hardly yields in them. "
+        "Record longer strokes at these speeds."
+    ]

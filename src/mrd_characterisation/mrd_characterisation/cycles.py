@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import trapezoid
 
 from mrd_characterisation.average import average
-from mrd_characterisation.characterisation import Loop, Value
+from mrd_characterisation.characterisation import Loop, Value, by_size
 from mrd_characterisation.force_speed import branch_difference
 from mrd_characterisation.strokes import Cycle
 
@@ -94,10 +94,10 @@ def asymmetries(forces: Sequence[Value]) -> list[Value]:
 def dynamic_ranges(forces: Sequence[Value]) -> list[Value]:
     """Return the force at the largest current over that at the smallest one, at each speed at which both were recorded."""
     values = []
-    currents = {value.current or 0.0 for value in forces}
+    currents = by_size(value.current or 0.0 for value in forces)
     for speed in sorted({value.speed or 0.0 for value in forces}) if len(currents) > 1 else ():
         pairs = {pair[0].current or 0.0: pair for pair in _pairs(forces) if pair[0].speed == speed}
-        least, most = pairs.get(min(currents)), pairs.get(max(currents))
+        least, most = pairs.get(currents[0]), pairs.get(currents[-1])
         if least and most and (low := _resisting(least)) > 0.0:
             high = _resisting(most)
             slopes = (1.0 / low, -1.0 / low, -high / low**2, high / low**2)

@@ -48,7 +48,8 @@ FORCE_AT_SPEED = (
     "Mean of the accelerating and the decelerating branch of a stroke at this speed, so that a stiffness cancels: of each "
     "the line through the unfiltered force at smoothed speeds within 10 % of it. Of a stroke of constant speed, the mean "
     "over the middle half of its way. Mean over all strokes of constant speed within 2 % of it, and of periodic cycles "
-    "that pass it at 25 to 95 % of their peak speed, at the same current."
+    "that pass it at 25 to 95 % of their peak speed, at the same current. Strokes shorter than 10 % of the longest one are "
+    "left out, because the fluid hardly yields in them."
 )
 
 

@@ -160,7 +160,7 @@ def make_sheet(
 
 def _telling(values: Sequence[Value], most: int) -> list[Value]:
     """Return the values at the smallest and the largest current, at the highest speeds, in their order."""
-    currents = [max(value.current or 0.0, value.current_before or 0.0) for value in values]
+    currents = [max(abs(value.current or 0.0), abs(value.current_before or 0.0)) for value in values]
     ends = [
         value
         for value, current in zip(values, currents, strict=True)

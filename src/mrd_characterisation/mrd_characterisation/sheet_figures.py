@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base.drawing import COLORS
-from mrd_characterisation.characterisation import SAME_CURRENT, Characterisation, Loop
+from mrd_characterisation.characterisation import SAME_CURRENT, Characterisation, Loop, by_size
 from mrd_characterisation.units import BENCH, View
 
 if TYPE_CHECKING:
@@ -70,12 +70,18 @@ def _lines(characterisations: Sequence[Characterisation]) -> Iterator[tuple[str,
     several = len(characterisations) > 1
     for number, one in enumerate(characterisations):
         # More than two currents of several dampers could not be told apart.
-        currents = (one.currents[0], one.currents[-1]) if several and len(one.currents) > 1 else one.currents
+        currents = _ends(one) if several and len(one.currents) > 1 else one.currents
         for place, current in enumerate(currents):
             color = _COLORS[(number if several else place) % len(_COLORS)]
             dash = _DASHES[(place if several else 0) % len(_DASHES)]
             name = "" if several and place else _short_name(one.name) if several else f"{current:.3g} A"
             yield name, current, {"color": color, "dash": dash}, one
+
+
+def _ends(one: Characterisation) -> tuple[float, float]:
+    """Return the smallest and the largest current in A."""
+    currents = by_size(one.currents)
+    return currents[0], currents[-1]
 
 
 def _short_name(name: str) -> str:
@@ -85,10 +91,10 @@ def _short_name(name: str) -> str:
 
 def _dashes_of_currents(characterisations: Sequence[Characterisation]) -> list[tuple[str, str]]:
     """Return name and dash of the smallest and the largest current of several dampers; none where each has a single one."""
-    ends = [(one.currents[0], one.currents[-1]) for one in characterisations if len(one.currents) > 1]
+    ends = [_ends(one) for one in characterisations if len(one.currents) > 1]
     if len(characterisations) < 2 or not ends:
         return []
-    same = SAME_CURRENT * max(largest for _, largest in ends)
+    same = SAME_CURRENT * max(abs(largest) for _, largest in ends)
     names = []
     for values, word in zip(zip(*ends, strict=True), ("smallest current", "largest current"), strict=True):
         names.append(f"{values[0]:.3g} A" if max(values) - min(values) <= same else word)

@@ -251,3 +251,82 @@ def test_summary_and_notebook_name_values_and_limitations(found):
     assert len(found.plot().data) > 5
     with pytest.raises(InputError, match="quantity 'gas' is not known, expected one of peak_force"):
         found.select("gas")
+
+
+def test_short_slow_strokes_show_the_seal_drag_that_they_were_recorded_for(simulated_damper):
+    short = replace(simulated_damper, stroke=0.2 * simulated_damper.stroke)
+    fast = [simulated_damper.sine("sine", 0.2, level, seed=k) for k, level in enumerate((0.0, 1.0))]
+    gas = [simulated_damper.triangle(f"gas_{speed:g}", speed, 0.0) for speed in (0.008, 0.004)]
+    drag = [short.triangle(f"drag_{speed:g}", speed, 0.0) for speed in (0.002, 0.001)]
+    found = characterise([*fast, *gas, *drag])
+    value = only(found, "seal_drag")
+    assert "strokes of 1 and 2 and 4 mm/s" in value.definition
+    assert only(found, "gas_force").speed == pytest.approx(0.004, rel=0.01)
+    assert set(found.gas_curve.runs) == {"gas_0.004", "drag_0.002", "drag_0.001"}
+    alone = characterise([*fast, *drag])
+    assert only(alone, "seal_drag").value == pytest.approx(simulated_damper.drag, rel=0.02)
+    assert not alone.select("gas_force")
+    assert any("so no gas force: the slowest" in text for text in alone.limitations)
+
+
+def slow_pairs(damper, cycles):
+    return [damper.sine("fast", 0.2, 0.0), *(damper.triangle(f"s{k}", s, 0.0, cycles) for k, s in enumerate((0.004, 0.008)))]
+
+
+def test_the_interval_of_the_seal_drag_counts_both_coefficients_of_the_line(simulated_damper):
+    """A triangle of 1.5 cycles has two whole strokes, one of 2.5 has four."""
+    one_pair = only(characterise(slow_pairs(simulated_damper, 1.5)), "seal_drag")
+    assert one_pair.cycles == 2
+    assert math.isnan(one_pair.lower)
+    assert math.isnan(one_pair.scatter)
+    half = [only(characterise(slow_pairs(simulated_damper, cycles)), "seal_drag") for cycles in (2.5, 4.5)]
+    assert [value.cycles for value in half] == [4, 8]
+    assert half[0].upper - half[0].lower > 1.2 * (half[1].upper - half[1].lower) > 0.0
+
+
+def test_the_interval_of_the_seal_drag_holds_what_changes_between_runs(simulated_damper):
+    runs = [
+        replace(simulated_damper, drag=simulated_damper.drag * (1.0 + change)).triangle(f"{speed}_{k}", speed, 0.0, seed=k)
+        for speed in (0.004, 0.008)
+        for k, change in enumerate((-0.2, 0.0, 0.2))
+    ]
+    drag = only(characterise([simulated_damper.sine("fast", 0.2, 0.0), *runs]), "seal_drag")
+    # Residuals of -4, 0 and 4 N at each of two speeds.
+    scatter = math.sqrt(4 * 4.0**2 / 4)
+    half = 2.776 * scatter * math.sqrt(1 / 6 + 0.006**2 / (6 * 0.002**2))
+    assert drag.scatter == pytest.approx(scatter, rel=0.03)
+    assert 0.5 * (drag.upper - drag.lower) == pytest.approx(half, rel=0.03)
+
+
+def test_no_stroke_counts_in_two_cycles_of_the_gas_force(simulated_damper):
+    """Three whole strokes are one cycle and a half."""
+    gas = only(characterise(slow_pairs(simulated_damper, 2.0)), "gas_force")
+    assert gas.cycles == 1
+    assert 0.0 < gas.upper - gas.lower < 0.02 * simulated_damper.force
+
+
+def test_the_smallest_current_is_the_one_of_the_least_size(simulated_damper):
+    """A coil that is driven in both senses has the same yield force in both."""
+    speeds, levels = (0.1, 0.2), (-1.0, 0.0, 1.0)
+    runs = [
+        simulated_damper.sine(f"{s}_{i}", s, abs(i), seed=k)
+        for k, (s, i) in enumerate((s, i) for s in speeds for i in levels)
+    ]
+    runs += [simulated_damper.triangle(f"slow_{s}", s, 0.0) for s in (0.004, 0.008)]
+    runs = [replace(run, current=-run.current) if run.name.endswith("-1.0") else run for run in runs]
+    found = characterise(runs)
+    assert found.currents == (-1.0, 0.0, 1.0)
+    assert only(found, "gas_force").current == 0.0
+    ratio = found.select("dynamic_range", speed=0.1)[0]
+    assert ratio.current == 1.0
+    assert ratio.value == pytest.approx(
+        simulated_damper.resistance(0.1, 1.0) / simulated_damper.resistance(0.1, 0.0), rel=0.02
+    )
+
+
+def test_strokes_that_are_too_short_for_a_force_at_a_speed_are_told(simulated_damper):
+    short = replace(simulated_damper, stroke=0.08 * simulated_damper.stroke)
+    found = characterise([simulated_damper.sine("long", 0.2, 0.4), short.sine("short", 0.03, 0.4)])
+    assert not found.select("force_at_speed", speed=0.02)
+    assert "Strokes of 30 mm/s at 0.4 A show no force at a speed" in "\n".join(found.limitations)
+    assert "shorter than 10 % of the longest one" in found.select("force_at_speed")[0].definition

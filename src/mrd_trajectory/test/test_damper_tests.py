@@ -94,7 +94,7 @@ def test_the_shipped_acceptance_test_is_short_and_keeps_the_shipped_limits() -> 
     plans = plan_all(experiments)
     assert len({one.name for one in experiments}) == len(experiments)
     # An idle machine runs the simulated bench somewhat faster than real time, and homes before each run.
-    assert sum(planned.duration for planned in plans) < 125
+    assert sum(planned.duration for planned in plans) < 145
     kinds = [type(read_step(file)) for file in files]
     assert kinds == [DAMPER_TESTS[name] for name in ("warm_up", "gas_force", "seal_drag", "speed_sweep", "response_time")]
 
@@ -187,7 +187,7 @@ def test_a_single_disturbed_sample_is_no_peak() -> None:
         ("speed_sweeps", {}, "unknown test speed_sweeps; did you mean speed_sweep?"),
         ("speed_sweep", {"cycles": 1}, "cycles: found 1, expected 2 to 1000"),
         ("response_time", {"cycles": 1}, "cycles: found 1, expected 2 to 1000"),
-        ("gas_force", {"cycles": 0}, "cycles: found 0, expected 1 to 1000"),
+        ("gas_force", {"cycles": 1}, "cycles: found 1, expected 2 to 1000"),
         ("warm_up", {"cycles": 3, "until": {"settled_percent": 2}}, "cycles: found 3 cycles, expected at least 4 beside"),
         ("warm_up", {"cycles": 9, "until": {"settled_percent": 0}}, "settled_percent: found 0, expected 0.0001 to 100"),
         ("warm_up", {"cycles": 9, "time_s": 9}, "cycles and time_s are both given"),

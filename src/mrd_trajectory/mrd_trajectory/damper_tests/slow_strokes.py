@@ -17,8 +17,8 @@ from mrd_trajectory.damper_tests.damper_test import (
 from mrd_trajectory.experiment import Experiment
 from mrd_trajectory.settings import GeneratorSettings
 
-# Default number of cycles at each speed.
-_CYCLES = 2
+# Default number of cycles at each speed. Between its reversals are five whole strokes, so that each direction repeats.
+_CYCLES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class SlowStrokes(DamperTest):
 
     speeds: tuple[float, ...] | None = speed_field("two slow speeds or more")
     amplitude: float | None = amplitude_field()
-    cycles: int = quantity(_CYCLES, doc="number of cycles at each speed", lower=1, upper=1000)
+    cycles: int = quantity(_CYCLES, doc="number of cycles at each speed", lower=2, upper=1000)
 
     def experiments(self, bench: GeneratorSettings) -> tuple[Experiment, ...]:
         amplitude = chosen_amplitude(self.amplitude, self.REACH, bench)
