@@ -12,6 +12,7 @@ from mrd_base.notebook import html_table, text_table
 from mrd_characterisation.characterisation import QUANTITIES, Characterisation, Value
 from mrd_characterisation.characterise import characterise
 from mrd_characterisation.damper_test import DamperTest
+from mrd_characterisation.force_speed import SAME_PLATEAU
 from mrd_characterisation.limits import Limit, resisting
 from mrd_characterisation.units import BENCH, View
 from mrd_characterisation.wording import band_text, conditions_text, difference_text, number_text, range_text
@@ -209,8 +210,18 @@ def accept(
     return Acceptance(test, characterisation, tuple(checks), reference, tuple(golden_sources))
 
 
+_AT_SPEEDS = ("force_at_speed", "asymmetry", "dynamic_range")  # the speeds of these are chosen, not those of strokes
+
+
 def _values(characterisation: Characterisation, limit: Limit) -> list[Value]:
-    return [resisting(value) for value in characterisation.alike(limit)]
+    values = characterisation.alike(limit)
+    speed = limit.speed
+    if speed and limit.quantity in _AT_SPEEDS:
+        # Only strokes of constant speed show no other, and those within this of it.
+        off = [abs((value.speed or 0.0) - speed) for value in values]
+        most = min([SAME_PLATEAU * speed, *off]) + 1e-9 * speed
+        values = [value for value, by in zip(values, off, strict=True) if by <= most]
+    return [resisting(value) for value in values]
 
 
 def _extent(items: Sequence[Value] | Sequence[Limit]) -> str:
@@ -233,12 +244,14 @@ def characterise_for(runs: Sequence[Run], limits: Sequence[Limit], name: str) ->
         Of the damper.
     """
     usual = characterise(runs, name=name)
-    asked = sorted({limit.speed for limit in limits if limit.quantity == "force_at_speed" and limit.speed})
-    missing = [speed for speed in asked if not usual.select("force_at_speed", speed=speed)]
+    asked = {limit.speed for limit in limits if limit.quantity in _AT_SPEEDS and limit.speed}
     speeds = sorted({value.speed for value in usual.values if value.quantity == "force_at_speed" and value.speed})
-    for speed in missing:
-        # A speed that no stroke shows is refused, and its limit is then not measured.
+    missing = sorted(one for one in asked if not any(math.isclose(one, speed) for speed in speeds))
+    for some in (missing, *([speed] for speed in missing)) if missing else ():
+        # A speed that no stroke shows is refused; then each is tried alone, and the limit of a refused one is not measured.
         with contextlib.suppress(InputError):
-            usual = characterise(runs, name=name, speeds=[*speeds, speed])
-            speeds.append(speed)
+            usual = characterise(runs, name=name, speeds=[*speeds, *some])
+            speeds += some
+            if some is missing:
+                break
     return usual

@@ -133,7 +133,7 @@ def read_slow_runs(path: str | Path) -> list[Run]:
     content = read_json(path, "mrd_characterisation", "characterisation", SCHEMA)
     if content["gas_curve"] is None:
         raise InputError(
-            f"{path}: has no gas force, which --characterisation is about; record slow strokes over the whole stroke at the "
+            f"{path}: has no gas force and no seal drag, which --characterisation is about; record slow strokes at the "
             "smallest current and characterise them"
         )
     sources = {run["name"]: run["source"] for run in content["runs"]}

@@ -145,6 +145,17 @@ def test_the_speeds_that_limits_ask_for_are_measured_where_they_were_reached(sim
     assert outcomes == ["pass", "pass", "not_measured"]
 
 
+def test_a_force_is_judged_at_the_speed_of_its_limit_not_at_a_near_one(simulated_damper):
+    limits = [Limit("force_at_speed", speed=speed, direction="rebound") for speed in (0.1, 0.105)]
+    checks = accept(characterise_for([simulated_damper.sine("sine", 0.2, 0.0)], limits, "SN-1"), limits, TEST).checks
+    assert [check.value.speed for check in checks] == [0.1, 0.105]
+    assert checks[1].value.value - checks[0].value.value == pytest.approx(simulated_damper.viscous * 0.005, rel=0.2)
+    constant = characterise_for([simulated_damper.triangle("triangle", 0.1, 0.0)], limits, "SN-1")
+    near, off = accept(constant, limits, TEST).checks
+    assert near.value.speed == pytest.approx(0.1, rel=0.02)
+    assert off.outcome == "not_measured"
+
+
 def test_the_file_is_valid_and_names_the_command_that_finds_the_cause(tmp_path, golden):
     limits = [*golden_limits(golden.values, 0.1), Limit("gas_force", 1e6), Limit("temperature_least", 1.0)]
     acceptance = accept(golden, limits, TEST, reference="limits", golden_sources=("gone.csv",))
