@@ -133,8 +133,9 @@ class Statistic:
 
     @property
     def slope(self) -> tuple[float, float, float] | None:
-        """Change per day with its 95 % interval; None for tests on fewer than `FEWEST_DATES` days."""
-        return slope(self.times, self.values)
+        """Change per day with its 95 % interval; None for tests on fewer than `FEWEST_DATES` dates of the calendar."""
+        dates = {entry.date.date() for entry in self.entries if entry.date}
+        return slope(self.times, self.values) if len(dates) >= FEWEST_DATES else None
 
 
 def capability(mean: float, deviation: float, lower: float, upper: float) -> tuple[float, float]:
@@ -155,9 +156,9 @@ def capability(mean: float, deviation: float, lower: float, upper: float) -> tup
 
 
 def slope(times: Array, values: Array) -> tuple[float, float, float] | None:
-    """Return the slope of values over times in days with its 95 % interval; None for fewer than `FEWEST_DATES` of them."""
+    """Return the slope of values over times in days with its 95 % interval; None for fewer than three distinct times."""
     dated = np.isfinite(times)
-    if len(np.unique(np.floor(times[dated]))) < FEWEST_DATES:
+    if len(np.unique(times[dated])) < 3:
         return None
     if np.ptp(values[dated]) == 0.0:
         return 0.0, 0.0, 0.0

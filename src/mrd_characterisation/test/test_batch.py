@@ -82,8 +82,17 @@ def test_the_slope_is_found_inside_its_interval():
     assert slope(times, np.full(200, 5.0)) == (0.0, 0.0, 0.0)
     assert slope(np.array([0.0, 0.0, 1.0]), np.arange(3.0)) is None
     assert slope(np.array([0.0, 1.0, math.nan]), np.arange(3.0)) is None
-    # Five dampers in an hour tell nothing of a month.
-    assert slope(np.linspace(0.0, 1.0 / 24.0, 5), np.arange(5.0)) is None
+
+
+@pytest.mark.parametrize(
+    ("hours", "shown"),
+    [((1, 2, 3, 4, 5), False), ((1, 23, 25, 26, 47), False), ((22, 25, 30, 40, 48.5), True), ((1, 26, 50, 51, 52), True)],
+)
+def test_a_change_over_time_needs_tests_on_three_dates_of_the_calendar(tmp_path, hours, shown):
+    """Five dampers in an hour tell nothing of a month; an evening, the next day and the morning after it do."""
+    for place, hour in enumerate(hours):
+        write_test(tmp_path / f"SN-{place}", f"SN-{place}", 100.0 + place, day=hour / 24.0)
+    assert all((statistic.slope is not None) == shown for statistic in read_batch(tmp_path).statistics)
 
 
 def test_a_batch_is_read_with_its_statistics(tmp_path):

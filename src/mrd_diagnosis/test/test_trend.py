@@ -13,6 +13,7 @@ from mrd_base import InputError
 from mrd_base.json_file import read_schema
 from mrd_diagnosis.cli import trend as tool
 from mrd_diagnosis.trend.calendar import make_calendar
+from mrd_diagnosis.trend.change_over_dates import change_over_dates
 from mrd_diagnosis.trend.dated_fit import make_dated_problem
 from mrd_diagnosis.trend.trend import trend
 from mrd_diagnosis.trend.trend_file import to_json, write_trend
@@ -318,3 +319,9 @@ def test_without_a_change_the_tool_asks_for_a_parameter(tmp_path, monkeypatch, c
     tool.main()
     printed = capsys.readouterr().out
     assert "No parameter is followed. Name one by --parameter (yield_force, " in printed
+
+
+def test_runs_of_a_single_date_show_no_change():
+    runs = series([100.0] * 4, "yield_force")
+    with pytest.raises(InputError, match=r"the runs have 1 date, expected at least 3"):
+        change_over_dates(runs, make_calendar(runs, ["2024-01-01T10:00"] * 4), "bingham")

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from mrd_base import quantity
+from mrd_base import InputError, quantity
 
 
 @dataclass(frozen=True)
@@ -10,6 +10,11 @@ class Limits:
     """Limits of bench and damper; the section ``limits`` of bench.yaml.
 
     The position is 0 at mid-stroke. Its magnitude may be up to half of ``stroke`` less ``margin``.
+
+    Raises
+    ------
+    InputError
+        For a margin that leaves nothing of the stroke.
     """
 
     stroke: float = quantity(0.055, "mm", "travel of the damper, end to end (LORD RD-8040-1: 55 mm)", lower=1e-3, upper=1)
@@ -20,6 +25,13 @@ class Limits:
     force: float = quantity(800.0, "N", "on the load cell (100 kg cell: 981 N at rated load)", lower=0.1, upper=2e6)
     current_min: float = quantity(0.0, "A", "of the coil", lower=-50, upper=0)
     current_max: float = quantity(1.0, "A", "of the coil, continuous", lower=1e-3, upper=50)
+
+    def __post_init__(self) -> None:
+        if self.margin >= 0.5 * self.stroke:
+            raise InputError(
+                f"margin_mm: found {1e3 * self.margin:.4g}, expected less than {500 * self.stroke:.4g}, half of stroke_mm; "
+                "choose the margin for this damper"
+            )
 
     @property
     def reach(self) -> float:

@@ -10,7 +10,7 @@ import yaml
 from hypothesis import assume, event, given, settings
 from hypothesis import strategies as st
 
-from mrd_base import InputError
+from mrd_base import InputError, from_mapping
 from mrd_trajectory.experiment import Experiment, parse_experiment, read_experiment
 from mrd_trajectory.force import ForceEnvelope
 from mrd_trajectory.limits import Limits
@@ -441,3 +441,11 @@ def test_shipped_experiments_keep_the_shipped_limits(path):
 
 def test_defaults_are_the_shipped_configuration():
     assert read_settings(CONFIG / "bench.yaml") == GeneratorSettings()
+
+
+def test_a_margin_that_leaves_nothing_of_the_stroke_is_refused():
+    with pytest.raises(
+        InputError, match=r"bench.yaml: limits: margin_mm: found 1.5, expected less than 1, half of stroke_mm"
+    ):
+        from_mapping(Limits, {"stroke_mm": 2.0}, "bench.yaml: limits")
+    assert from_mapping(Limits, {"stroke_mm": 2.0, "margin_mm": 0.1}, "limits").reach == pytest.approx(0.9e-3)

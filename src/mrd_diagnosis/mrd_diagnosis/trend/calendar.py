@@ -63,6 +63,19 @@ class Calendar:
             for date in range(len(self.times))
         ]
 
+    def check(self) -> None:
+        """Check that there are enough dates.
+
+        Raises
+        ------
+        InputError
+            For fewer than `FEWEST_DATES`.
+        """
+        dates = len(self.times)
+        if dates < FEWEST_DATES:
+            have = f"{dates} date{'s' * (dates != 1)}"
+            raise InputError(f"the runs have {have}, expected at least {FEWEST_DATES} to tell a trend from scatter")
+
 
 def make_calendar(runs: Sequence[Run], dates: Sequence[str] = ()) -> Calendar:
     """Date the runs: as given, otherwise as recorded, otherwise in their order.

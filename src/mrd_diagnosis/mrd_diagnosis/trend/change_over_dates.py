@@ -31,7 +31,13 @@ def change_over_dates(
         Dates of the runs.
     model, laws, parameters, seed, progress
         As in `mrd_diagnosis.diagnose`.
+
+    Raises
+    ------
+    InputError
+        For too few dates to follow a parameter over them, and as `mrd_diagnosis.diagnose`.
     """
+    calendar.check()
     by_date = calendar.by_date(runs)
     # Of single runs, a change cannot be told from the scatter.
     third = max(len(by_date) // 3, min(2, len(by_date) // 2))

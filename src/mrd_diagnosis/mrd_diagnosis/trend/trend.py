@@ -12,7 +12,7 @@ from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.trend.calendar import Calendar, make_calendar
 from mrd_diagnosis.trend.dated_fit import DatedFit, Progress, fit_dates
 from mrd_diagnosis.trend.sentence import describe_trend
-from mrd_diagnosis.trend.trend_line import FEWEST_DATES, FEWEST_DATES_FOR_CHANGE, TrendLine, fit_trend_line
+from mrd_diagnosis.trend.trend_line import FEWEST_DATES_FOR_CHANGE, TrendLine, fit_trend_line
 from mrd_runs import Run
 from mrd_runs.scales import scales_of
 from mrd_sim.models import DamperModel, find_model
@@ -107,14 +107,12 @@ def trend(
         raise InputError(f"limit is {limit:g}, expected a finite number")
     with_effects = _add_effects(find_model(model, laws, scales=scales_of(runs)), follow, effects)
     calendar = calendar or make_calendar(runs)
-    dates = len(calendar.times)
-    if dates < FEWEST_DATES:
-        raise InputError(f"the runs have {dates} dates, expected at least {FEWEST_DATES} to tell a trend from scatter")
+    calendar.check()
     progress("reading the runs", 0.0)
     fit = fit_dates(runs, calendar.date_index, with_effects, follow, parameters=parameters, seed=seed, progress=progress)
     line = fit_trend_line(calendar.times, fit.values, fit.covariance, seed)
     notes = fit.notes
-    if dates < FEWEST_DATES_FOR_CHANGE:
+    if len(calendar.times) < FEWEST_DATES_FOR_CHANGE:
         notes += (f"no change point was looked for: this needs at least {FEWEST_DATES_FOR_CHANGE} dates",)
     values = _intervals(fit)
     sentence = describe_trend(follow, fit.parameter.unit, calendar, values, line, limit)
