@@ -14,7 +14,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from mrd_characterisation.average import Average, average
+from mrd_characterisation.average import RUNS_FOR_INTERVAL, Average, average
 from mrd_characterisation.characterisation import SAME_CURRENT, SAME_SPEED, Direction, Response, Value
 from mrd_characterisation.strokes import grouped, rounded
 from mrd_runs.signals.current_steps import LEAST_STEP, current_steps
@@ -59,7 +59,8 @@ BEGUN = 0.05
 """Share of its change from which on a current has begun to step."""
 
 RESAMPLED = 10
-"""Parts into which equal steps are divided; the interval follows from leaving out each (the jackknife, Quenouille 1949)."""
+"""Parts into which equal steps are divided; the interval follows from leaving out each (the jackknife, Quenouille 1949).
+Where there are enough runs, these are the parts."""
 
 SHARES = {"63": 1.0 - math.exp(-1.0), "95": 0.95}
 
@@ -239,9 +240,12 @@ def _measured(steps: Sequence[Step]) -> tuple[list[Value], Response] | float | N
     times = _times(longer, looked_at) if len(longer) >= FEWEST_STEPS else None
     if times is None or times["force", "95"] > SETTLES * looked_at:
         return hold
-    parts = min(len(longer), RESAMPLED)
-    left_out = [_times([s for n, s in enumerate(longer) if n % parts != part], looked_at) for part in range(parts)]
     names = [step.run.run.name for step in longer]
+    runs = list(dict.fromkeys(names))
+    # What changes between runs shows only where whole runs are left out.
+    part_of = list(map(runs.index, names)) if len(runs) >= RUNS_FOR_INTERVAL else [n % RESAMPLED for n in range(len(longer))]
+    parts = sorted(set(part_of))
+    left_out = [_times([s for s, of in zip(longer, part_of, strict=True) if of != part], looked_at) for part in parts]
     direction: Direction = "rebound" if longer[0].velocity > 0.0 else "compression"
     condition: dict[str, Any] = {
         "current": longer[0].after,

@@ -330,3 +330,16 @@ def test_strokes_that_are_too_short_for_a_force_at_a_speed_are_told(simulated_da
     assert not found.select("force_at_speed", speed=0.02)
     assert "Strokes of 30 mm/s at 0.4 A show no force at a speed" in "\n".join(found.limitations)
     assert "shorter than 10 % of the longest one" in found.select("force_at_speed")[0].definition
+
+
+def test_the_interval_of_a_response_time_holds_what_changes_between_runs(simulated_damper):
+    lags = (0.010, 0.012, 0.014)
+    runs = [replace(simulated_damper, lag=lag, falling=0.0).steps() for lag in lags]
+    fast = simulated_damper.sine("fast", 0.2, 0.0)
+    found = characterise([fast, *(replace(run, name=f"steps_{k}") for k, run in enumerate(runs))])
+    times = found.select("response_time_63")
+    assert times
+    for time in times:
+        assert time.runs == 3
+        # Student's t with two degrees of freedom, for a scatter of 2 ms over three runs.
+        assert 0.5 * (time.upper - time.lower) == pytest.approx(4.303 * 0.002 / math.sqrt(3.0), rel=0.2)
