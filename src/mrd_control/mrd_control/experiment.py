@@ -24,6 +24,7 @@ from mrd_control.prediction import MODEL, PREDICTORS, find_predictor
 from mrd_control.systems import SYSTEMS, System
 from mrd_identification.export import load_damper
 from mrd_sim.damper import Damper
+from mrd_trajectory.limits import LARGEST_CURRENT
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ class ControlExperiment:
     gains: dict = quantity(dataclasses.MISSING, doc="parameters of the law, {NAME: VALUE} in SI; {} for its defaults")  # type: ignore[type-arg]
     rate: float = quantity(1000.0, "Hz", "samples per second; each is a cycle of the law", lower=50, upper=2000)
     cycle: float = quantity(0.004, "ms", "longest time from one setpoint to the next", lower=0.001, upper=0.02)
-    most_current: float = quantity(1.0, "A", "largest coil current that the law may command", lower=0, upper=5)
+    most_current: float = quantity(1.0, "A", "largest coil current that the law may command", lower=0, upper=LARGEST_CURRENT)
     supply_lag: float = quantity(0.003, "ms", "of the coil supply, in the offline twin", lower=0, upper=0.2)
     delay: float = quantity(0.0, "ms", "by which a setpoint has to come before the servo can follow it", lower=0, upper=0.1)
     lag: float = quantity(0.0, "ms", "of the rod behind what the servo follows", lower=0, upper=0.1)

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 from mrd_base import InputError, quantity
 
+LARGEST_CURRENT = 50.0
+"""A, of any coil: bound of what a file may hold. The limits of a bench are in its file."""
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -23,8 +26,8 @@ class Limits:
     acceleration: float = quantity(10.0, "m/s2", "of the rod", lower=0.01, upper=200)
     jerk: float = quantity(1000.0, "m/s3", "of the rod", lower=0.1, upper=1e6)
     force: float = quantity(800.0, "N", "on the load cell (100 kg cell: 981 N at rated load)", lower=0.1, upper=2e6)
-    current_min: float = quantity(0.0, "A", "of the coil", lower=-50, upper=0)
-    current_max: float = quantity(1.0, "A", "of the coil, continuous", lower=1e-3, upper=50)
+    current_min: float = quantity(0.0, "A", "of the coil", lower=-LARGEST_CURRENT, upper=0)
+    current_max: float = quantity(1.0, "A", "of the coil, continuous", lower=1e-3, upper=LARGEST_CURRENT)
 
     def __post_init__(self) -> None:
         if self.margin >= 0.5 * self.stroke:

@@ -99,6 +99,15 @@ def test_the_shipped_acceptance_test_is_short_and_keeps_the_shipped_limits() -> 
     assert kinds == [DAMPER_TESTS[name] for name in ("warm_up", "gas_force", "seal_drag", "speed_sweep", "response_time")]
 
 
+@pytest.mark.parametrize("test", ["speed_sweep", "response_time"])
+def test_a_current_that_the_limits_allow_is_chosen_and_may_be_given(tmp_path: Path, test: str) -> None:
+    limits = replace(BENCH.limits, current_max=20.0)
+    envelope = replace(BENCH.force_envelope, yield_slope=1.0, viscosity_slope=0.0)
+    bench = replace(BENCH, limits=limits, force_envelope=envelope)
+    assert "20000 mA" in expand(tmp_path, test, bench)[-1].description
+    assert "20000 mA" in expand(tmp_path, test, bench, currents_mA=[20000])[-1].description
+
+
 def test_a_warm_up_has_a_cycle_in_each_pass(tmp_path: Path) -> None:
     (one,) = expand(tmp_path, "warm_up", cycles=30, until={"settled_percent": 1}, speed_mm_per_s=60, amplitude_mm=10)
     assert one.repeats == 30

@@ -24,6 +24,7 @@ from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.damper import Damper, parse_values
 from mrd_sim.models import MODELS
 from mrd_sim.plant import DamperConfig, read_damper
+from mrd_trajectory.limits import LARGEST_CURRENT
 
 LONGEST = 3600.0
 """s of a run."""
@@ -87,7 +88,7 @@ def _conditions(arguments: argparse.Namespace) -> Conditions:
     for name, value, lower, upper in (
         ("--rate", arguments.rate, 50.0, 20e3),
         ("--duration", arguments.duration, 5.0, LONGEST),
-        ("--most-current", arguments.most_current, 0.01, 5.0),
+        ("--most-current", arguments.most_current, 0.01, LARGEST_CURRENT),
         ("--delay", arguments.delay or 0.0, 0.0, 200.0),
         ("--lag", arguments.lag, 0.0, 200.0),
         ("--population", arguments.population, 4, 1000),

@@ -9,6 +9,7 @@ from scipy.linalg import solve_continuous_are, solve_discrete_are
 
 from mrd_control.linear import LinearSystem, propagate
 from mrd_sim.parameter import Parameter
+from mrd_trajectory.limits import LARGEST_CURRENT
 
 Array = NDArray[np.float64]
 
@@ -17,7 +18,7 @@ DRIFT_WEIGHT = Parameter(
 )
 CONTACT_WEIGHT = Parameter("contact_weight", "1/s^4", 5e3, 1.0, 1e12, "of the deflection of the tyre, squared", log=True)
 FORCE_WEIGHT = Parameter("force_weight", "1/kg^2", 1e-7, 1e-14, 1.0, "of the force, squared", log=True, free=False)
-HIGH_CURRENT = Parameter("high_current", "A", 0.3, 0.0, 5.0, "current while the force is to rise")
+HIGH_CURRENT = Parameter("high_current", "A", 0.3, 0.0, LARGEST_CURRENT, "current while the force is to rise")
 WEIGHTS = (DRIFT_WEIGHT, CONTACT_WEIGHT, FORCE_WEIGHT)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError, quantity
 from mrd_trajectory.experiment import Experiment
+from mrd_trajectory.limits import LARGEST_CURRENT
 from mrd_trajectory.settings import GeneratorSettings
 from mrd_trajectory.until import Until
 from mrd_trajectory.waveforms import Constant, Waveform
@@ -71,9 +72,9 @@ class DamperTest(abc.ABC):
         return ""
 
 
-def level_field(unit: str, doc: str, default: Any = None, *, lower: float = 0.0) -> Any:
-    """Declare a level, or levels, in SI units at most 10 (m, m/s or A); the limits of the bench are checked later."""
-    return quantity(default, unit, doc, lower=lower, upper=10.0)
+def level_field(unit: str, doc: str, default: Any = None, *, lower: float = 0.0, upper: float = 10.0) -> Any:
+    """Declare a level, or levels, between bounds in SI units (m, m/s or A); the limits of the bench are checked later."""
+    return quantity(default, unit, doc, lower=lower, upper=upper)
 
 
 def speed_field(doc: str) -> Any:
@@ -88,7 +89,8 @@ def amplitude_field(doc: str = "half of peak to peak") -> Any:
 
 def current_field(doc: str) -> Any:
     """Declare a current of the coil, or currents."""
-    return level_field("mA", f"{doc}; by default from the limits of the bench", lower=-10.0)
+    doc = f"{doc}; by default from the limits of the bench"
+    return level_field("mA", doc, lower=-LARGEST_CURRENT, upper=LARGEST_CURRENT)
 
 
 def chosen_amplitude(given: float | None, share: float, bench: GeneratorSettings) -> float:
@@ -232,7 +234,7 @@ def cycles_of(
         period = 4 * amplitude / speed
         rod = Triangle(amplitude, speed)
     coil = Constant(currents[0]) if len(currents) == 1 else Staircase(currents, cycles * period)
-    levels = ", ".join(f"{1e3 * current:.4g}" for current in currents)
+    levels = ", ".join(f"{1e3 * current:.5g}" for current in currents)
     what = f"{motion} of {1e3 * speed:.4g} mm/s, ±{1e3 * amplitude:.4g} mm, at {levels} mA"
     return Experiment(
         f"{test.name}_{name}" if name else test.name,

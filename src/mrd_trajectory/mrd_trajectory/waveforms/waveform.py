@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mrd_base import quantity
+from mrd_trajectory.limits import LARGEST_CURRENT
 
 Array = NDArray[np.float64]
 
@@ -81,9 +82,9 @@ class Waveform(abc.ABC):
         return self
 
 
-def level_field(doc: str, default: Any = dataclasses.MISSING, *, lower: float = -10.0) -> Any:
-    """Declare a field in levels, at most 10 m or 10 A so that no arithmetic overflows; `plan` checks the limits."""
-    return quantity(default, "level", doc, lower=lower, upper=10.0)
+def level_field(doc: str, default: Any = dataclasses.MISSING, *, lower: float = -LARGEST_CURRENT) -> Any:
+    """Declare a field in levels, bounded in m or A so that no arithmetic overflows; `plan` checks the limits."""
+    return quantity(default, "level", doc, lower=lower, upper=LARGEST_CURRENT)
 
 
 def slope_field(doc: str) -> Any:
