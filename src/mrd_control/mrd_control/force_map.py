@@ -17,8 +17,9 @@ CURRENTS = 11
 STEADY_TRAVEL = 0.02
 """m. Travel at constant speed after which every hysteresis has ended."""
 VERTICES = 50
-LEAST_RISE = 1.0
-"""N. Rise of the force from the least to the largest current, without which a damper cannot be controlled."""
+LEAST_RISE = 1e-3
+"""Rise of the force from the least to the largest current, over the largest force of the map, without which a damper
+cannot be controlled."""
 
 
 def force_map(damper: Damper, most_current: float) -> Array:
@@ -64,7 +65,7 @@ def inverse_map(damper: Damper, most_current: float) -> Array:
     resisting = np.sign(table[1:, :1]) * table[1:, 1:]
     rise = np.diff(resisting, axis=1)
     i, j = np.unravel_index(int(np.argmin(rise)), rise.shape)
-    if rise[i, j] < 0.0 or (resisting[:, -1] - resisting[:, 0]).min() < LEAST_RISE:
+    if rise[i, j] < 0.0 or (resisting[:, -1] - resisting[:, 0]).min() < LEAST_RISE * np.abs(resisting).max():
         raise InputError(
             f"model {damper.description} has no inverse: at {table[1 + i, 0]:.3g} m/s its resisting force is "
             f"{resisting[i, j]:.4g} N at {currents[j]:.3g} A and {resisting[i, j + 1]:.4g} N at {currents[j + 1]:.3g} A, "

@@ -97,6 +97,13 @@ def test_every_model_has_an_inverse_or_says_why_not(name):
         assert (np.diff(resisting, axis=1) >= 0).all()
 
 
+def test_a_damper_of_one_newton_has_an_inverse():
+    small = {"yield_force": 0.1, "yield_force_per_A": 0.5, "viscous": 0.2, "viscous_per_A": 0.0}
+    assert (np.diff(inverse_map(Damper("bingham", small), 1.0)[-1, 1:]) > 0.0).all()
+    with pytest.raises(InputError, match="has no inverse"):
+        inverse_map(Damper("bingham", {**small, "yield_force_per_A": 1e-4}), 1.0)
+
+
 def test_a_law_that_needs_an_inverse_refuses_a_damper_without_one():
     constant = Damper("linear_viscous", {"viscous_per_A": 0.0})
     base = np.zeros((100, 2))
