@@ -1,7 +1,10 @@
 """acceptance.json: the verdict on a damper as a file; and the command that finds the cause of a failure."""
 
+import hashlib
+import math
 import shlex
 from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +31,11 @@ def to_json(acceptance: Acceptance, next_command: str | None = None) -> dict[str
         "rig": test.rig,
         "operator": test.operator,
         "temperature_K": list(test.temperature) if test.temperature else None,
-        "reference": {"text": acceptance.reference, "runs": list(acceptance.golden_sources)},
+        "reference": {
+            "text": acceptance.reference,
+            "runs": list(acceptance.golden_sources),
+            "limits_sha256": _limits_hash(acceptance),
+        },
         "runs": [run_json(run) for run in acceptance.characterisation.runs],
         "checks": [_check(check) for check in acceptance.by_outcome],
         "next_command": next_command,
@@ -76,15 +83,26 @@ def _good_damper(acceptance: Acceptance, folder: str | Path) -> tuple[str, Seque
     place = Path(folder).resolve()
     # Beside this folder as `accept` writes it, or beside the recordings in which it is, as `bench` writes it.
     beside = {*place.parent.glob("*/acceptance.json"), *place.parent.parent.glob(f"*/{place.name}/acceptance.json")}
-    for file in sorted(beside - {place / "acceptance.json"}, key=lambda file: -file.stat().st_mtime):
+    limits, latest = _limits_hash(acceptance), -math.inf
+    found: tuple[str, Sequence[str]] = ("", ())
+    for file in sorted(beside - {place / "acceptance.json"}):
         try:
             test = read_json(file, "mrd_characterisation", "acceptance", SCHEMA)
         except InputError:
             continue
         runs = [run["source"] or "" for run in test["runs"]]
-        if test["verdict"] == "pass" and test["reference"]["text"] == acceptance.reference and _are_there(runs):
-            return f"{test['serial']}, which passed", runs
-    return "", ()
+        # Without a date, it is older than any with one.
+        date = datetime.fromisoformat(test["date"]).timestamp() if test["date"] else 0.0
+        alike = test["verdict"] == "pass" and test["reference"].get("limits_sha256") == limits
+        if alike and date > latest and _are_there(runs):
+            latest, found = date, (f"{test['serial']}, which passed", tuple(runs))
+    return found
+
+
+def _limits_hash(acceptance: Acceptance) -> str:
+    """Return a text that is the same for the same limits: files of limits of several products may have one name."""
+    limits = sorted({repr(check.limit) for check in acceptance.checks})
+    return hashlib.sha256("\n".join(limits).encode()).hexdigest()
 
 
 def _are_there(sources: Sequence[str]) -> bool:

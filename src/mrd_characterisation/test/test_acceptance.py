@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import pytest
 from hypothesis import given
@@ -193,28 +194,33 @@ def test_the_file_is_valid_and_names_the_command_that_finds_the_cause(tmp_path, 
 def test_a_failed_damper_is_compared_with_one_beside_that_passed_by_the_same_limits(tmp_path, golden, reports):
     """By its recordings alone, a loss of gas is no gap: the model that is fitted to them takes it up."""
 
-    def judge(serial: str, lower: float, reference: str = "the limits of a.yaml") -> str:
+    def judge(serial: str, gas: float, lower: float = 50.0, day: int = 1) -> str:
         run = replace(golden.runs[0], info={"source": str(tmp_path / f"{serial}.csv")})
-        characterisation = replace(golden, runs=(run,))
-        acceptance = accept(characterisation, [Limit("gas_force", lower)], DamperTest(serial), reference=reference)
+        characterisation = replace(golden, runs=(run,), values=(value(gas, quantity="gas_force"),))
+        test = DamperTest(serial, datetime(2026, 1, day, tzinfo=UTC))
+        acceptance = accept(characterisation, [Limit("gas_force", lower)], test, reference="the limits of limits.yaml")
         folder = tmp_path / serial / reports
         folder.mkdir(parents=True, exist_ok=True)
         write_acceptance(acceptance, folder)
         return cause_text(acceptance, folder)
 
-    assert "Add --reference and the recordings of a good damper" in judge("SN-1", 1e6)
-    judge("SN-2", -1e6, "the limits of another.yaml")
-    judge("SN-3", -1e6)
+    assert "Add --reference and the recordings of a good damper" in judge("SN-1", 20.0)
+    judge("SN-2", 80.0, 40.0)
+    judge("SN-3", 80.0, day=3)
     for serial in ("SN-2", "SN-4"):
         (tmp_path / f"{serial}.csv").touch()
-    # The recordings of SN-3 are not there, SN-2 was judged by other limits, and SN-4 is the damper itself.
-    judge("SN-4", -1e6)
-    assert "Add --reference" in judge("SN-4", 1e6)
+    # The recordings of SN-3 are not there, SN-2 was judged by other limits of a file of the same name, and SN-4 is itself.
+    judge("SN-4", 80.0)
+    assert "Add --reference" in judge("SN-4", 20.0)
     (tmp_path / "SN-3.csv").touch()
-    text = judge("SN-4", 1e6)
+    text = judge("SN-4", 20.0)
     assert text.startswith("To find the cause, as a difference from SN-3, which passed: ")
     assert f"--reference {tmp_path}/SN-3.csv --output {tmp_path / 'SN-4' / reports}" in text
     assert "\n" not in text
+    # An older test that was judged later is no later test.
+    judge("SN-5", 80.0, day=2)
+    (tmp_path / "SN-5.csv").touch()
+    assert "a difference from SN-3" in judge("SN-4", 20.0)
 
 
 @pytest.mark.parametrize("serial", ["", " ", "..", "a/b", "a\\b", "C:x", "a\nb", "x" * 101])
