@@ -31,3 +31,36 @@ def test_beyond_its_ends_a_series_keeps_its_value(quantity: str, late: float, ea
             assert f"{quantity} {word}" in told
         elif missing == 0.0:
             assert word not in told
+
+
+@pytest.mark.parametrize("channel", ["position", "velocity", "acceleration", "force"])
+@pytest.mark.parametrize("rate", [None, 500.0])
+@pytest.mark.parametrize("of_channel", [500.0, 2000.0])
+def test_a_hole_of_one_channel_stays_a_gap(channel: str, rate: float | None, of_channel: float) -> None:
+    given = {name: series(500.0, 0.0, 4.0) for name in ("position", "force")}
+    time, values = series(of_channel, 0.0003, 4.0)
+    kept = (time < 1.0) | (time > 1.4)
+    columns, notes = synchronise({**given, channel: (time[kept], values[kept])}, rate, "file")
+    assert np.diff(columns["time"]).max() == pytest.approx(0.4, abs=0.005)
+    own = f"those of the {channel}" in notes[0]
+    assert any(note.startswith("the longest gap" if own else f"{channel} has 1 hole of up to 0.4") for note in notes)
+    begin = 0.002 if rate is None and not own else 0.0003
+    for name in ("position", "force", channel):
+        np.testing.assert_allclose(columns[name], np.sin(3.0 * (columns["time"] + begin)), atol=2e-3)
+
+
+def test_a_fast_series_is_not_averaged_over_a_gap_of_the_slowest() -> None:
+    time, values = series(100.0, 0.0, 4.0)
+    kept = (time < 1.0) | (time > 1.4)
+    fast = series(2000.0, 0.0, 4.0)
+    columns, notes = synchronise({"position": (time[kept], values[kept]), "force": fast}, None, "file")
+    np.testing.assert_allclose(columns["force"], columns["position"], atol=0.01)
+    assert any("longest gap" in note for note in notes)
+
+
+def test_times_of_receipt_in_bursts_are_no_holes() -> None:
+    time, values = series(1000.0, 0.0, 2.0)
+    bursts = np.ceil(time / 0.008) * 0.008 + 1e-5 * (np.arange(len(time)) % 8)
+    columns, notes = synchronise({"position": (time, values), "force": (bursts, values)}, None, "file")
+    assert len(columns["time"]) > 1900
+    assert not any("hole" in note for note in notes)

@@ -14,6 +14,10 @@ MOTION = ("position", "velocity", "acceleration", "force")
 _SLOW = 3.0
 """Intervals of the common time within one of a series, from which that series is held: it is that of a command."""
 _MOST_SAMPLES = 10**7
+_HOLE = 5.0
+"""Interval of a series of motion or force, in its usual ones, from which nothing is interpolated in it."""
+_USUAL = 0.95
+"""Quantile of the intervals that is the usual one: times of receipt may come in bursts, between which nothing is missing."""
 
 
 def synchronise(series: Mapping[str, Series], rate: float | None, where: str) -> tuple[dict[str, Array], list[str]]:
@@ -22,7 +26,8 @@ def synchronise(series: Mapping[str, Series], rate: float | None, where: str) ->
     The samples are those of the slowest of position, velocity, acceleration and force, so that none of them gets values that
     nobody measured; or evenly spaced ones, where a rate is given. A series that is faster is averaged between the midpoints
     of the samples: interpolation would alias its noise. One that is as fast is interpolated linearly. A current or a
-    temperature that is much slower keeps its last value.
+    temperature that is much slower keeps its last value. Where position, velocity, acceleration or force has a hole, there
+    are no samples: the time has a gap there.
 
     Parameters
     ----------
@@ -61,6 +66,7 @@ def synchronise(series: Mapping[str, Series], rate: float | None, where: str) ->
         common = series[slowest][0]
         common = common[(common >= begin) & (common <= end)]
         origin = f"those of the {slowest}, {1 / intervals[slowest]:.4g} Hz, the slowest of motion and force"
+    common, holes = _without_holes(series, common)
     if len(common) < 2:
         raise InputError(f"{where}: the series have {len(common)} samples in common; expected one recording of all")
     step = float(np.median(np.diff(common)))
@@ -86,11 +92,30 @@ def synchronise(series: Mapping[str, Series], rate: float | None, where: str) ->
                 )
                 beyond.append(f"{name} {word} {missing:.3g} s {kept}")
     notes = [f"the samples are {origin}" + "".join(f"; {' and '.join(names)} {how}" for how, names in done.items())]
-    notes += beyond
+    notes += beyond + holes
     gap = float(np.diff(common).max())
-    if gap > 5 * step:
+    if gap > _HOLE * step:
         notes.append(f"the longest gap between two samples is {gap:.3g} s, {gap / step:.0f} times the usual one")
-    return columns, notes if done or rate is not None or gap > 5 * step else []
+    return columns, notes if done or holes or rate is not None or gap > _HOLE * step else []
+
+
+def _without_holes(series: Mapping[str, Series], common: Array) -> tuple[Array, list[str]]:
+    """Leave out the samples within holes of the series of motion and force; return the others and notes on the holes."""
+    kept, notes = np.ones(len(common), bool), []
+    for name in MOTION:
+        if name not in series or len(time := series[name][0]) < 2:
+            continue
+        steps = np.diff(time)
+        before = np.clip(np.searchsorted(time, common, "right") - 1, 0, len(steps) - 1)
+        inside = (steps[before] > _HOLE * np.quantile(steps, _USUAL)) & (common > time[before]) & (common < time[before + 1])
+        if inside.any():
+            kept &= ~inside
+            count, longest = len(np.unique(before[inside])), float(steps[before[inside]].max())
+            notes.append(
+                f"{name} has {count} {'hole' if count == 1 else 'holes'} of up to {longest:.3g} s; the "
+                f"{np.count_nonzero(inside)} samples within are left out"
+            )
+    return common[kept], notes
 
 
 def _held(time: Array, values: Array, common: Array) -> Array:
@@ -105,15 +130,17 @@ def _extended(time: Array, values: Array, common: Array) -> tuple[Array, Array]:
 
 
 def _averaged(time: Array, values: Array, common: Array) -> Array:
-    """Average a series, linear between its samples, from midpoint to midpoint of the common time; beyond its ends it keeps
-    its first and last value.
+    """Average a series, linear between its samples, from midpoint to midpoint of the common time, but not over gaps of it;
+    beyond its ends it keeps its first and last value.
     """
     time, values = _extended(time, values, common)
-    edges = np.concatenate([common[:1], 0.5 * (common[1:] + common[:-1]), common[-1:]])
+    steps = np.diff(common)
+    half = 0.5 * np.where(steps > _HOLE * np.median(steps), np.median(steps), steps)
+    edges = np.stack([common - np.append(0.0, half), common + np.append(half, 0.0)])
     integral = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
     # Between two samples the integral is a parabola.
     index = np.clip(np.searchsorted(time, edges, "right") - 1, 0, len(time) - 2)
     since = edges - time[index]
     slope = (values[index + 1] - values[index]) / (time[index + 1] - time[index])
     at_edges = integral[index] + since * (values[index] + 0.5 * slope * since)
-    return np.asarray(np.diff(at_edges) / np.diff(edges))
+    return np.asarray((at_edges[1] - at_edges[0]) / (edges[1] - edges[0]))
