@@ -60,6 +60,16 @@ def test_grouped_thousands_are_read(imported: Any, decimal: str, grouped: str) -
     check(imported(HEADER + "\n".join(lines(decimal=decimal, grouped=grouped))))
 
 
+@pytest.mark.parametrize("cell", ["1.034", "-12.345", "1.5"])
+def test_a_point_among_decimal_commas_is_no_decimal_sign(imported: Any, cell: str) -> None:
+    rows = lines(decimal=",")
+    rows[200] = rows[200].rpartition(";")[0] + ";" + cell
+    error = imported(HEADER + "\n".join(rows))
+    assert f"line 202: Force (N) is '{cell}', expected a number" in error
+    rows = [row + ";1.034" for row in lines(decimal=",")]
+    check(imported(HEADER.replace("\n", ";Note\n") + "\n".join(rows)))
+
+
 @given(st.lists(st.floats(-1e6, 1e6), min_size=4, max_size=4), st.sampled_from([".", ","]), st.booleans())
 def test_three_decimals_are_never_taken_for_thousands(values: list[float], decimal: str, whole: bool) -> None:
     text = [f"{value:.3f}".replace(".", decimal) for value in values]

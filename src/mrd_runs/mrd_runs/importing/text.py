@@ -182,10 +182,9 @@ def _read_columns(
     indices = [[column.name for column in dialect.located.columns].index(name) for name in names]
     rows = (line for _, line in _rows(path, encoding, dialect))
     delimiter: str | None = dialect.delimiter or None
-    if dialect.decimal == "," and delimiter == ",":
-        rows, delimiter = ("\t".join(split_line(line, ",")).replace(",", ".") for line in rows), "\t"
-    elif dialect.decimal == ",":
-        rows = (line.replace(",", ".") for line in rows)
+    if dialect.decimal == ",":
+        rows = (_with_points(line, dialect, indices) for line in rows)
+        delimiter = "\t" if delimiter == "," else delimiter
     try:
         values = np.loadtxt(
             rows,
@@ -201,6 +200,15 @@ def _read_columns(
     except ValueError:
         return _read_cells(path, encoding, dialect, names, indices, remarks, blocks)
     return {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(names)}
+
+
+def _with_points(line: str, dialect: Dialect, indices: Sequence[int]) -> str:
+    """Return a line with points in place of decimal commas; raise ValueError where a number has a point already."""
+    if "." in line:
+        cells = dict(enumerate(split_line(line, dialect.delimiter)))
+        if any("." in cells.get(index, "") for index in indices if index not in dialect.clocks):
+            raise ValueError(line)
+    return ("\t".join(split_line(line, ",")) if dialect.delimiter == "," else line).replace(",", ".")
 
 
 def _read_cells(
