@@ -12,6 +12,8 @@ from scipy.interpolate import interp1d
 from mrd_base import InputError
 from mrd_identification.low_pass import known_force_filter
 from mrd_runs import Run
+from mrd_runs.scales import SMALLEST
+from mrd_runs.signals.current import current_noise
 from mrd_runs.signals.motion import Motion
 from mrd_runs.signals.smoothed_run import SmoothedRun, smooth_run
 from mrd_sim.dual_type import columns_of, like
@@ -27,12 +29,15 @@ FORGETTING_STROKE = 0.05
 its influence on the force has decayed."""
 
 CURRENT_DEVIATION = 0.025
-"""A. No current sensor of a bench has more noise than this (an unfiltered ACS714-05B has 19 mA), whatever the damper, so a
-larger standard deviation is a change of the current itself."""
+"""A. Hum and filtered noise of a current sensor are smaller (an unfiltered ACS714-05B has 19 mA). A larger standard
+deviation that is no white noise either is a change of the current itself."""
 
-LEAST_CURRENT_CHANGE = 2e-3
-"""Share of the largest current. Smaller differences of current do not change the force of a damper
-measurably."""
+OVER_NOISE = 1.5
+"""Standard deviation of a current over that of its white noise, from which it changes."""
+
+LEAST_CURRENT_CHANGE = 0.02
+"""Share of the largest current, up to which two currents are one: a supply is not more exact, and no force changes by more
+than that. Nor does a current change by less than the smallest one of any damper."""
 
 NOISE_WINDOW = 0.05
 """s, the length of the moving average that suppresses the noise of the current sensor."""
@@ -227,7 +232,7 @@ def current_levels(runs: Sequence[Run]) -> tuple[int, bool]:
     """Return how many coil currents the runs have (3 for three or more), and whether the current changes within a run."""
     if any(current_varies(run) for run in runs):
         return 3, True
-    least = LEAST_CURRENT_CHANGE * max(float(np.abs(run.current).max()) for run in runs)
+    least = _least_change(runs)
     means = np.sort([float(run.current.mean()) for run in runs])
     deviation_of_mean = max(float(np.std(run.current)) / np.sqrt(len(run)) for run in runs)
     return min(3, 1 + int(np.sum(np.diff(means) > max(least, 10 * deviation_of_mean)))), False
@@ -235,10 +240,16 @@ def current_levels(runs: Sequence[Run]) -> tuple[int, bool]:
 
 def current_varies(run: Run) -> bool:
     """Whether the coil current of a run changes by more than the noise of its sensor."""
-    if np.std(run.current) > CURRENT_DEVIATION:
+    least = _least_change([run])
+    if np.std(run.current) > max(CURRENT_DEVIATION, least, OVER_NOISE * current_noise(run.current)):
         return True
     window = max(5, int(NOISE_WINDOW * run.rate))
     # Of white noise with standard deviation sigma, the lower quartile of the absolute differences is 0.32 sqrt(2) sigma.
     noise = float(np.quantile(np.abs(np.diff(run.current)), 0.25)) / 0.45
     smooth = np.convolve(run.current, np.full(window, 1 / window), "valid")
-    return bool(np.ptp(smooth) > max(LEAST_CURRENT_CHANGE * np.abs(run.current).max(), 12 * noise / np.sqrt(window)))
+    return bool(np.ptp(smooth) > max(least, 12 * noise / np.sqrt(window)))
+
+
+def _least_change(runs: Sequence[Run]) -> float:
+    """Return the difference in A up to which two currents of runs are one."""
+    return max(SMALLEST.current, LEAST_CURRENT_CHANGE * max(float(np.abs(run.current).max()) for run in runs))

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from mrd_identification.preflight.channels import CheckedRun, counted, milli
 from mrd_identification.preflight.finding import Finding
+from mrd_identification.recording import current_levels
 from mrd_runs import Run
 from mrd_runs.faults import relative_work
 from mrd_runs.scales import scales_of
@@ -36,14 +37,14 @@ def check_excitation(runs: Sequence[CheckedRun], model: DamperModel | None) -> I
 
 
 def _check_currents(runs: Sequence[CheckedRun], model: DamperModel | None) -> Iterator[Finding]:
-    if any(checked.current_varies for checked in runs):
+    levels, varies = current_levels([checked.run for checked in runs])
+    if varies:
         return
-    means = np.array([checked.run.current.mean() for checked in runs])
-    largest = max(float(np.abs(checked.run.current).max()) for checked in runs)
-    if np.ptp(means) < max(0.01, 0.02 * largest):
+    if levels == 1:
+        mean = np.mean([checked.run.current.mean() for checked in runs])
         dependence = f", and neither can how {model.id} depends on the current" if model is not None and model.laws else ""
         text = (
-            f"the current never changes ({means.mean():.3g} A): effects of the magnetics stage cannot be tested{dependence}."
+            f"the current never changes ({mean:.3g} A): effects of the magnetics stage cannot be tested{dependence}."
             " Record runs with steps of the current."
         )
     else:

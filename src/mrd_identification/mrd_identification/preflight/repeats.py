@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from mrd_identification.preflight.alignment import best_shift, overlap
 from mrd_identification.preflight.channels import RATE_TOLERANCE, CheckedRun, milli
 from mrd_identification.preflight.finding import Finding
+from mrd_runs.scales import SMALLEST
 
 Array = NDArray[np.float64]
 
@@ -90,10 +91,10 @@ def check_repeats(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
 def _current_difference(first: CheckedRun, second: CheckedRun, shift: int) -> tuple[float, bool]:
     """Return the rms difference of two currents in A, and whether noise and scatter of the supply explain it."""
     currents = overlap(first.run.current, second.run.current, shift)
-    span = max(0.01, *(float(np.ptp(current)) for current in currents), *(0.5 * float(np.abs(c).max()) for c in currents))
+    span = max(*(float(np.ptp(current)) for current in currents), *(0.5 * float(np.abs(c).max()) for c in currents))
     difference = float(np.sqrt(np.mean((currents[0] - currents[1]) ** 2)))
     noise = first.channels["current"].noise + second.channels["current"].noise
-    return difference, difference <= 0.1 * span + 4 * noise
+    return difference, difference <= max(SMALLEST.current, 0.1 * span) + 4 * noise
 
 
 def _check_force_of_repeat(first: CheckedRun, second: CheckedRun, shift: int) -> Iterator[Finding]:
