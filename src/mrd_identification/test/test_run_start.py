@@ -101,6 +101,14 @@ def test_nothing_left_to_skip_is_refused(skip):
         recorded("a", 1.0, 0.5).without_start(skip)
 
 
+def test_a_skip_leaves_samples_enough():
+    time = np.arange(100) / 5.0
+    run = Run("slow", time, np.sin(time), np.cos(time), 0 * time, np.cos(time))
+    with pytest.raises(InputError, match=r"slow: skip is 19\.65 s, which leaves 1 of 100 samples; expected at least 50"):
+        run.without_start(19.65)
+    assert len(run.without_start(10.0)) == 50
+
+
 def test_what_is_skipped_is_left_out():
     run = recorded("a", 1.0, 0.5)
     rest = run.without_start(0.5)

@@ -1,4 +1,4 @@
-"""Faults of recordings that make every fit worthless: a sign that is wrong, a force in another unit.
+"""Faults of recordings that make every fit worthless: signs that are wrong.
 
 They are checked where a file is imported; before a fit, `mrd_identification.preflight` looks for many more.
 """
@@ -17,8 +17,6 @@ _WRONG_SIGN_WORK = -0.2
 delay, and near zero for a spring."""
 _TURNED = -0.3
 """Correlation of the velocity with the differences of the position, below which one of them is turned; noise lowers it."""
-_LARGEST_FORCE = 1.5e6
-"""Span of the force in N that no damper on a bench has."""
 _SEGMENTS = 200
 
 
@@ -55,10 +53,6 @@ def _has_turned_velocity(run: Run) -> bool:
     return float(np.corrcoef(run.velocity, np.gradient(run.position, run.time))[0, 1]) < _TURNED
 
 
-def _has_large_force(run: Run) -> bool:
-    return float(np.ptp(run.force)) > _LARGEST_FORCE
-
-
 _CHECKS: tuple[tuple[Callable[[Run], bool], str], ...] = (
     (
         _has_wrong_sign,
@@ -69,11 +63,6 @@ _CHECKS: tuple[tuple[Callable[[Run], bool], str], ...] = (
         _has_turned_velocity,
         "the velocity falls where the position rises: one of them has the wrong sign; turn it with "
         "`{import_} FILE --flip velocity --output DIR` or position",
-    ),
-    (
-        _has_large_force,
-        f"the force spans more than {_LARGEST_FORCE:g} N: is it in mN? "
-        "Convert it with `{import_} FILE --units force=mN --output DIR`",
     ),
 )
 

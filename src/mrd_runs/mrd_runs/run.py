@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-LEAST_LEFT = 0.1
-"""s, the least that is left of a run; what can be learned from so little, the checks of a recording say."""
+FEWEST_SAMPLES = 50
+"""Samples of a run; with fewer, a recording is too short to identify a model from."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,14 +115,18 @@ class Run:
         Raises
         ------
         InputError
-            When less than a tenth of a second would be left.
+            When fewer than 50 samples would be left.
         """
         if seconds == 0.0:
             return self
-        if not 0.0 < seconds < self.duration - LEAST_LEFT:
+        if not 0.0 < seconds < self.duration:
             raise InputError(f"{self.name}: skip is {seconds:g} s, expected from 0 to less than its {self.duration:.3g} s")
         first = int(np.searchsorted(self.time, self.time[0] + seconds))
-
+        if len(self) - first < FEWEST_SAMPLES:
+            raise InputError(
+                f"{self.name}: skip is {seconds:g} s, which leaves {len(self) - first} of {len(self)} samples; expected at "
+                f"least {FEWEST_SAMPLES}"
+            )
         return replace(
             self,
             time=self.time[first:] - self.time[first],

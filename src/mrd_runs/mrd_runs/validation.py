@@ -10,24 +10,24 @@ from mrd_base import InputError
 from mrd_base.quantities import ZERO_CELSIUS
 from mrd_base.table import check_columns
 from mrd_runs.missing import check_missing
-from mrd_runs.run import Run
+from mrd_runs.run import FEWEST_SAMPLES, Run
+from mrd_runs.scales import LARGEST
 
 Array = NDArray[np.float64]
 
 REQUIRED = ("time_s", "position_m", "current_A", "force_N")
 """Columns that every run has."""
 
-# A recording with fewer samples is too short to identify a model from.
-FEWEST_SAMPLES = 50
-
 # Magnitude of each column that no damper bench exceeds, and the unit to suspect beyond it.
 _LARGEST_MAGNITUDES = {
-    "current_A": (20.0, "is it in mA?"),
-    "force_N": (1e6, "is it in mN?"),
+    "current_A": (LARGEST.current, "is it in mA?"),
+    "force_N": (LARGEST.force, "is it in mN?"),
     "acceleration_mps2": (1e4, "is it in mm/s²?"),
-    "velocity_mps": (50.0, "is it in mm/s?"),
+    "velocity_mps": (5.0 * LARGEST.speed, "is it in mm/s?"),  # single samples are faster than the strokes
 }
-_LARGEST_STROKE = 2.0  # m, peak to peak; no damper on a bench has more
+_LARGEST_STROKE = 2.0 * LARGEST.stroke  # m, peak to peak
+LARGEST_RATIO = 100.0
+"""Velocity over the derivative of the position, from which its unit must be another one."""
 _MEDIAN_INTERVALS = (5e-6, 0.25)  # s; 4 Hz to 200 kHz
 _TIME_UNITS = {"ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "minutes": 60.0, "hours": 3600.0, "days": 86400.0}
 _LONGEST_GAP, _LARGEST_GAP = 60.0, 100.0  # s, and relative to all other times
@@ -136,16 +136,30 @@ def _check_units(columns: Mapping[str, Array], where: str) -> None:
         raise InputError(
             f"{where}: position_m spans {stroke:g}, expected at most {_LARGEST_STROKE:g} m peak to peak; is it in mm?"
         )
-    for name, (largest, suspicion) in _LARGEST_MAGNITUDES.items():
-        if name in columns and (magnitude := float(np.abs(columns[name]).max())) > largest:
-            raise InputError(f"{where}: {name} reaches {magnitude:g}, expected at most {largest:g}; {suspicion}")
-    if "temperature_C" in columns:
-        lowest, highest = float(columns["temperature_C"].min()), float(columns["temperature_C"].max())
+    for name, values in columns.items():
+        if problem := magnitude_problem(name, values):
+            raise InputError(f"{where}: {problem}")
+
+
+def magnitude_problem(name: str, values: Array) -> str:
+    """Return what no damper bench measures in a column; "" where nothing."""
+    if name in _LARGEST_MAGNITUDES:
+        largest, suspicion = _LARGEST_MAGNITUDES[name]
+        if (magnitude := float(np.abs(values).max(initial=0.0))) > largest:
+            return f"{name} reaches {magnitude:g}, expected at most {largest:g}; {suspicion}"
+    if name == "temperature_C" and len(values):
+        lowest, highest = float(values.min()), float(values.max())
         if lowest < _TEMPERATURES[0] or highest > _TEMPERATURES[1]:
-            raise InputError(
-                f"{where}: temperature_C spans {lowest:g} to {highest:g}, "
+            return (
+                f"{name} spans {lowest:g} to {highest:g}, "
                 f"expected {_TEMPERATURES[0]:g} to {_TEMPERATURES[1]:g} °C; is it in K or °F?"
             )
+    return ""
+
+
+def velocity_ratio(time: Array, position: Array, velocity: Array) -> float:
+    """Return how many times the derivative of the position a velocity is, by their standard deviations."""
+    return float(np.std(velocity) / np.std(np.gradient(position, time)))
 
 
 def _unit_notes(columns: Mapping[str, Array], where: str) -> list[str]:
@@ -153,9 +167,8 @@ def _unit_notes(columns: Mapping[str, Array], where: str) -> list[str]:
     notes = []
     stroke = float(np.ptp(columns["position_m"]))
     if "velocity_mps" in columns and stroke > 0:
-        derivative = np.gradient(columns["position_m"], columns["time_s"])
-        ratio = float(np.std(columns["velocity_mps"]) / np.std(derivative))
-        if ratio > 100:
+        ratio = velocity_ratio(columns["time_s"], columns["position_m"], columns["velocity_mps"])
+        if ratio > LARGEST_RATIO:
             raise InputError(
                 f"{where}: velocity_mps is {ratio:.3g} times the derivative of position_m, expected about 1; is it in mm/s?"
             )

@@ -49,11 +49,6 @@ def test_a_velocity_against_the_position_is_named() -> None:
     assert find_faults([replace(run, velocity=VELOCITY), replace(run, velocity=0 * VELOCITY)]) == []
 
 
-def test_a_force_in_another_unit_is_named() -> None:
-    (fault,) = find_faults([run_of(3e3 * DAMPER)])
-    assert "is it in mN? Convert it with `ros2 run mrd_runs import FILE --units force=mN --output DIR`" in fault
-
-
 def test_a_spring_and_a_rod_at_rest_are_no_faults() -> None:
     assert find_faults([run_of(5e4 * POSITION), run_of(np.random.default_rng(0).normal(0, 1, 2000), np.zeros(2000))]) == []
 

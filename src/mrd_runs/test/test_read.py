@@ -15,6 +15,7 @@ from mrd_base import InputError
 from mrd_runs import make_run, read_run, read_runs
 from mrd_runs.bag_import import write_bag
 from mrd_runs.read import describe_runs
+from mrd_runs.scales import LARGEST
 
 
 def test_csv_is_read_bit_by_bit_in_any_order(tmp_path: Path, columns, write_csv) -> None:
@@ -82,6 +83,15 @@ def test_unusable_values(tmp_path: Path, columns, write_csv, key: str, change, m
         read_run(file)
     assert str(caught.value).startswith(str(file))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["current_A", "force_N"])
+def test_the_limits_are_those_of_the_scales(columns, name: str) -> None:
+    largest = LARGEST.current if name == "current_A" else LARGEST.force
+    values = columns[name] / np.abs(columns[name]).max()
+    make_run("run", columns | {name: 0.99 * largest * values})
+    with pytest.raises(InputError, match=f"{name} reaches"):
+        make_run("run", columns | {name: 1.01 * largest * values})
 
 
 def test_other_columns_in_other_units(columns) -> None:

@@ -11,15 +11,12 @@ from mrd_identification.preflight.alignment import cross_correlation, overlap
 from mrd_identification.preflight.channels import FEW_STROKES, CheckedRun, milli
 from mrd_identification.preflight.finding import Finding, Severity
 from mrd_runs.faults import relative_work
+from mrd_runs.scales import LARGEST
 
 Array = NDArray[np.float64]
 
-LARGEST_STROKE = 2.0
-"""Span of the position in m that no damper on a bench has: it is recorded in mm."""
-LARGEST_CURRENT = 30.0
-"""Current in A that no coil of a damper takes: it is recorded in mA."""
-LARGEST_FORCE = 2e6
-"""Span of the force in N that no damper on a bench has: it is recorded in mN."""
+LARGEST_STROKE, LARGEST_FORCE = 2 * LARGEST.stroke, 2 * LARGEST.force
+"""Spans of the position in m and of the force in N that no damper on a bench has: they are recorded in mm and mN."""
 VERY_FEW_NEWTONS, FEW_NEWTONS = 5.0, 30.0
 """Spans of the force in N of all runs below which it is rather in kN than that of a damper, and below which it may be."""
 SWING = 0.02
@@ -52,9 +49,9 @@ def check_units(checked: CheckedRun) -> Iterator[Finding]:
     if span > LARGEST_STROKE:
         text = f"the position spans {span:.3g} m: expected at most {LARGEST_STROKE:g} m. If it is in mm, convert it to m."
         yield checked.finding("rig", "fault", "position", text)
-    if current > LARGEST_CURRENT:
+    if current > LARGEST.current:
         text = (
-            f"the current reaches {current:.3g} A: expected at most {LARGEST_CURRENT:g} A. If it is in mA, convert it to A."
+            f"the current reaches {current:.3g} A: expected at most {LARGEST.current:g} A. If it is in mA, convert it to A."
         )
         yield checked.finding("rig", "fault", "current", text)
     if force > LARGEST_FORCE:

@@ -15,6 +15,7 @@ from mrd_runs.importing.units import COLUMNS, si_unit, to_si
 from mrd_runs.importing.words import names_compression
 from mrd_runs.missing import check_missing, missing_number
 from mrd_runs.text import one_line
+from mrd_runs.validation import LARGEST_RATIO, magnitude_problem, velocity_ratio
 
 Array = NDArray[np.float64]
 
@@ -112,6 +113,9 @@ def finish(
         if absent_values := int(np.count_nonzero(~np.isfinite(columns[quantity]))):
             del columns[quantity]
             notes.append(f"the {quantity} is left out: {absent_values} of {len(series[quantity])} values are no numbers")
+        elif problem := _unneeded_problem(quantity, columns):
+            del columns[quantity]
+            notes.append(f"the {quantity} is left out: {problem}")
     for quantity in mapped.flip:
         columns[quantity] = -columns[quantity]
         notes.append(f"the sign of the {quantity} was turned")
@@ -133,3 +137,14 @@ def finish(
     if len(set(clocks.values())) > 1:
         info["clocks"] = dict(clocks)
     return Recording({COLUMNS[quantity]: columns[quantity] for quantity in COLUMNS if quantity in columns}, info, place)
+
+
+def _unneeded_problem(quantity: str, columns: Mapping[str, Array]) -> str:
+    """Return why a channel that a recording does not need would stop its import; "" where it would not."""
+    values = columns[quantity]
+    if quantity == "velocity":
+        time, position = columns["time"], columns["position"]
+        rises = len(time) > 1 and bool(np.all(np.diff(time) > 0))
+        if rises and np.ptp(position) > 0 and (ratio := velocity_ratio(time, position, values)) > LARGEST_RATIO:
+            return f"it is {ratio:.3g} times the derivative of the position, expected about 1"
+    return magnitude_problem(COLUMNS[quantity], values)

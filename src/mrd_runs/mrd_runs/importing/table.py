@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mrd_runs.importing.units import is_unit, looks_like_unit
 from mrd_runs.importing.words import names_quantity, words_of
-from mrd_runs.validation import FEWEST_SAMPLES
+from mrd_runs.run import FEWEST_SAMPLES
 
 Array = NDArray[np.float64]
 Cell = str | float | None
