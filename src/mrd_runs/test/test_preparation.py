@@ -70,3 +70,37 @@ def test_what_cannot_be_done_is_one_line(file, options, message):
     assert done.returncode == 2
     assert message in done.stderr
     assert not bag.exists()
+
+
+def without(file, first, last):
+    rows = file.read_text().splitlines()
+    file.write_text("\n".join([*rows[:first], *rows[last:]]) + "\n")
+
+
+@pytest.mark.parametrize("options", [["--low-pass", "30"], ["--decimate", "5"]])
+def test_no_filter_goes_over_a_gap(file, options):
+    without(file, 3001, 3501)
+    done, bag = import_(file, *options, "--crop", "1:")
+    assert done.returncode == 2
+    assert "line 3002: there are no samples between 1.999 and 2.5 s of what is kept" in done.stderr
+    assert not bag.exists()
+    assert import_(file, *options, "--crop", "3.5:")[0].returncode == 0
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2, 40])
+@pytest.mark.parametrize("options", [[], ["--low-pass", "30"], ["--decimate", "5"], ["--crop", ":1"]])
+def test_too_few_rows_are_one_line(file, options, rows):
+    without(file, 1 + rows, 8001)
+    done, _ = import_(file, *options)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "rig.csv" in done.stderr
+
+
+def test_a_time_without_any_number_is_one_line(file):
+    table = np.loadtxt(file, delimiter=",", skiprows=1)
+    table[:, 0] = np.nan
+    np.savetxt(file, table, delimiter=",", header="time_s,position_m,current_A,force_N", comments="")
+    done, _ = import_(file)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1

@@ -1,5 +1,6 @@
 """Preparation of a recording on import, where it is asked for: a part of it, fewer samples, a low-pass filter."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -7,13 +8,17 @@ from numpy.typing import NDArray
 from scipy.signal import butter, resample_poly, sosfiltfilt
 
 from mrd_base import InputError
+from mrd_base.table import check_columns
 from mrd_runs.formats import Recording
-from mrd_runs.validation import FEWEST_SAMPLES
+from mrd_runs.run import FEWEST_SAMPLES
 
 Array = NDArray[np.float64]
 
 ORDER = 2
 """Order of the low-pass filter; it runs forward and backward, so that nothing is delayed and the order counts twice."""
+
+LONGEST_GAP = 5.0
+"""Gap in usual intervals from which samples are not filtered as if they were evenly spaced."""
 
 HIGHEST = 0.45
 """Share of the sampling rate below which the corner frequency must lie."""
@@ -53,8 +58,12 @@ def prepare(recording: Recording, wanted: Preparation, where: str) -> Recording:
     Raises
     ------
     InputError
-        When too little is left, or the filter has no effect at this rate; ``where`` names the file.
+        When too little is left, the filter has no effect at this rate, or there is a gap in what is to be filtered;
+        ``where`` names the file.
     """
+    if wanted == Preparation():
+        return recording
+    check_columns(recording.columns, FEWEST_SAMPLES, where, recording.place)
     columns, notes, first = dict(recording.columns), [], 0
     time = columns["time_s"]
     since = time - time[0]
@@ -70,6 +79,8 @@ def prepare(recording: Recording, wanted: Preparation, where: str) -> Recording:
         notes.append(f"kept from {since[inside[0]]:.4g} to {since[inside[-1]]:.4g} s")
     time = columns["time_s"]
     rate = (len(time) - 1) / float(time[-1] - time[0])
+    if wanted.low_pass is not None or wanted.every > 1:
+        _check_gaps(time, where, lambda index: recording.place(first + index))
     signals = [name for name in columns if name != "time_s"]
     if wanted.low_pass is not None:
         highest = HIGHEST * rate
@@ -86,8 +97,6 @@ def prepare(recording: Recording, wanted: Preparation, where: str) -> Recording:
         columns |= {name: resample_poly(columns[name], 1, wanted.every, padtype="line") for name in signals}
         columns["time_s"] = time[:: wanted.every]
         notes.append(f"one of {wanted.every} samples kept, behind a filter against aliasing")
-    if not notes:
-        return recording
     of_file = recording.place
     return replace(
         recording,
@@ -95,3 +104,15 @@ def prepare(recording: Recording, wanted: Preparation, where: str) -> Recording:
         info={**recording.info, "notes": [*recording.info.get("notes", ()), *notes]},
         place=lambda index: of_file(first + index * wanted.every),
     )
+
+
+def _check_gaps(time: Array, where: str, place: Callable[[int], str]) -> None:
+    """Refuse to filter over a gap."""
+    steps = np.diff(time)
+    index = int(np.argmax(steps))
+    if steps[index] > LONGEST_GAP * np.median(steps):
+        begin, end = (time[k] - time[0] for k in (index, index + 1))
+        raise InputError(
+            f"{where}: {place(index + 1)}: there are no samples between {begin:.6g} and {end:.6g} s of what is kept, and no "
+            "filter goes over a gap; keep what is before or after it with --crop, or leave out --low-pass and --decimate"
+        )
