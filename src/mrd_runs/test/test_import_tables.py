@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mrd_base import InputError
 from mrd_runs import Run, read_run
 from mrd_runs.importing.clocks import find_passes, without_rounding
 from mrd_runs.importing.text import guess_dialect
@@ -201,3 +202,15 @@ def test_a_format_that_is_not_read_is_answered_with_those_that_are(import_tool: 
     code, _, error = import_tool(f"{name} --current 0 --output bags")
     assert code == 2
     assert "expected text, a bag, .xlsx, .mat, .h5 or .tdms" in error
+
+
+def test_own_names_with_semicolons_and_decimal_commas_are_read_by_the_import(imported: Any) -> None:
+    rows = [f"{t:.4f};{x:.9f};{0.5};{f:.3f}" for t, x, f in zip(TIME, position(TIME), force(TIME), strict=True)]
+    check(imported("time_s;position_m;current_A;force_N\n" + "\n".join(rows).replace(".", ",")))
+
+
+def test_own_names_with_semicolons_are_refused_with_a_hint(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time_s;position_m;current_A;force_N\n" + "0,1;0,2;0,3;0,4\n" * 60)
+    with pytest.raises(InputError, match="reads tables of other programs"):
+        read_run(path)

@@ -35,9 +35,9 @@ def read_csv_file(path: Path) -> Recording:
 
 def has_own_header(path: Path) -> bool:
     """Whether the first line of a file names the columns of a run."""
-    with path.open(encoding="utf-8", errors="replace") as stream:
+    with path.open(encoding="utf-8-sig", errors="replace") as stream:
         header = next((line for line in stream if line.strip()), "")
-    return all(name in header for name in REQUIRED)
+    return set(REQUIRED) <= {name.strip(' \t\r\n"') for name in header.split(",")}
 
 
 def check_bounds(path: Path) -> None:
