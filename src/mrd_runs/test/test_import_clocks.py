@@ -302,6 +302,36 @@ def test_elements_of_an_array_are_listed_and_proposed(import_tool: Any, tmp_path
     assert run.clocks_agree()
 
 
+def write_numbers(path: Path, *columns: Any) -> None:
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/rig", "std_msgs/msg/Float64MultiArray", typestore=STORE)
+        for number, row in enumerate(zip(*columns, strict=True)):
+            message = T["std_msgs/msg/Float64MultiArray"](T["std_msgs/msg/MultiArrayLayout"]([], 0), np.array(row))
+            receipt = round(1e9 * (EPOCH + TIME[number]))
+            writer.write(connection, receipt, STORE.serialize_cdr(message, "std_msgs/msg/Float64MultiArray"))
+
+
+NUMBERS = "--topics time='/rig.data[0]' position='/rig.data[1]' force='/rig.data[2]' --current 0.5"
+
+
+@pytest.mark.parametrize("rate", ["", "--rate 100"])
+def test_a_counter_in_ms_is_the_time_of_a_bag(import_tool: Any, tmp_path: Path, rate: str) -> None:
+    write_numbers(tmp_path / "bag", (np.round(1e3 * TIME) + 64_000) % 2**16, X, F)
+    code, text, error = import_tool(f"bag {NUMBERS} --units time=ms {rate} --output bags")
+    assert (code, error) == (0, "")
+    assert "the times begin again after 65536 and were continued" in text
+    run = read_run(tmp_path / "bags/bag")
+    assert len(run) == COUNT // (2 if rate else 1)
+    np.testing.assert_allclose(run.position[1:-1], position(run.time[1:-1]), atol=2e-5)
+
+
+def test_a_time_of_a_bag_that_repeats_is_refused(import_tool: Any, tmp_path: Path) -> None:
+    write_numbers(tmp_path / "bag", np.floor(20 * TIME) / 20, X, F)
+    code, _, error = import_tool(f"bag {NUMBERS} --output bags")
+    assert code == 2
+    assert "90 % of the times /rig.data[0] repeat another one, expected one of each message; leave it out" in error
+
+
 # What is written
 
 

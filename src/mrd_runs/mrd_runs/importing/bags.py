@@ -12,11 +12,10 @@ from mrd_runs.bag import read_bag
 from mrd_runs.definitions import SAMPLES_TYPE
 from mrd_runs.formats import BAG, Recording
 from mrd_runs.importing.finish import Mapped, finish, times_note
-from mrd_runs.importing.quantities import Source, listed, shown_options, topic_mappings, unit_of
+from mrd_runs.importing.quantities import listed, shown_options, topic_mappings
 from mrd_runs.importing.synchronise import synchronise
-from mrd_runs.importing.table import Column
-from mrd_runs.importing.topics import Address, list_numbers, parse_address, read_topics
-from mrd_runs.importing.units import COLUMNS, find_unit, si_unit, to_si
+from mrd_runs.importing.topics import list_numbers, parse_address, read_topics
+from mrd_runs.importing.units import COLUMNS, si_unit, to_si
 from mrd_runs.validation import check_values
 
 _MOST_TRIALS, _MOST_TIMES = 24, 3
@@ -49,27 +48,15 @@ def _recordings(path: Path, mapped: Mapped) -> list[Recording]:
         raise InputError(
             f"{path}: --topics names no {missing}; expected position (or velocity), force and current (or --current)"
         )
-    passes, told, units = read_topics(path, addresses)
-    sources = {quantity: _source(quantity, address, units[quantity]) for quantity, address in addresses.items()}
+    if "time" in mapped.units and "time" not in addresses:
+        raise InputError(f"{path}: --units names the time; the times are those of the messages, leave it out")
+    passes, told, sources = read_topics(path, addresses, mapped.units.get("time", ""))
     recordings = []
     for one in passes:
         columns, done = synchronise(one.series, mapped.rate, str(path))
-        if "time" in sources:
-            unit = mapped.units.get("time") or sources["time"].unit or si_unit("time")
-            columns["time"] = to_si("time", columns["time"], unit, str(path))
-        elif "time" in mapped.units:
-            raise InputError(f"{path}: --units names the time; the times are those of the messages, leave it out")
         notes = times_note([*told, *done], one.clocks)
         recordings.append(finish(path, columns, sources, mapped, notes, one.clocks))
     return recordings
-
-
-def _source(quantity: str, address: Address, unit: str) -> Source:
-    """Return where a quantity comes from; its unit may stand beside it, or end the name of field, element or topic."""
-    unit = unit or unit_of(quantity, Column(f"{address.topic}.{address.field}"))
-    names = (address.index, address.topic.rpartition("/")[2])
-    ends = (found for name in names if find_unit(quantity, found := unit_of(quantity, Column(name))))
-    return Source(str(address), unit or next(ends, ""))
 
 
 def _question(path: Path, mapped: Mapped) -> InputError:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, maximum_filter1d, median_filter
 
-from mrd_runs.validation import FEWEST_SAMPLES
+from mrd_runs.run import FEWEST_SAMPLES
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -185,6 +185,12 @@ def _single_precision(time: Array) -> tuple[float, float]:
     few = time[:: max(1, len(time) // _FEW_TIMES)]
     is_single = off <= _OFF_SINGLE * single or all(float(str(np.float32(number))) == number for number in few)
     return (single, off) if is_single and np.ptp(np.diff(time)) > 0.5 * single else (0.0, 0.0)
+
+
+def are_copies(time: Array, columns: Sequence[Array]) -> bool:
+    """Return whether each row that repeats a time is a copy of the row before."""
+    again = np.flatnonzero(np.diff(time) == 0) + 1
+    return all(np.array_equal(values[again], values[again - 1]) for values in columns)
 
 
 def usual_step(time: Array) -> float:

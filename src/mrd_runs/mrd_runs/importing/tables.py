@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_runs.formats import Recording
-from mrd_runs.importing.clocks import MOST_REPEATS, Indices, Passes, find_passes, usual_step, without_rounding
+from mrd_runs.importing.clocks import MOST_REPEATS, Indices, Passes, are_copies, find_passes, usual_step, without_rounding
 from mrd_runs.importing.finish import Mapped, finish, times_note
 from mrd_runs.importing.quantities import Source, UndecidedError, find_sources, is_counter, is_speed, shown_options, unit_of
 from mrd_runs.importing.synchronise import MOTION, Series, synchronise
 from mrd_runs.importing.table import Table
 from mrd_runs.importing.units import si_unit, to_si
 from mrd_runs.importing.wrapping import unwrap
+from mrd_runs.run import FEWEST_SAMPLES
 from mrd_runs.text import one_line
-from mrd_runs.validation import FEWEST_SAMPLES, check_values
+from mrd_runs.validation import check_values
 
 Array = NDArray[np.float64]
 
@@ -74,7 +75,7 @@ def _recordings(path: Path, table: Table, mapped: Mapped) -> list[Recording]:
     for name, time in clocks.items():
         order = find_passes(time, blocks=sorted({k for k in table.blocks if k < len(time)}))
         rows = [raw[source.name] for source in wanted.values() if source.time == name]
-        if name and order.repeats > MOST_REPEATS and not _are_copies(time, rows):
+        if name and order.repeats > MOST_REPEATS and not are_copies(time, rows):
             return _without_times(path, table, mapped, name, time)
         clocks[name], clause = without_rounding(time, order)
         told += [f"{one_line(name)} is {clause}"] if clause else []
@@ -136,12 +137,6 @@ def _counted(counter: Array, name: str) -> tuple[Array, str]:
     missing = float(np.sum(steps[steps > usual] / usual - 1))
     told += [f"{missing:.0f} samples are missing by {one_line(name)}"] if missing else []
     return numbers / usual, "; ".join(told)
-
-
-def _are_copies(time: Array, columns: Sequence[Array]) -> bool:
-    """Return whether each row that repeats a time is a copy of the row before."""
-    again = np.flatnonzero(np.diff(time) == 0) + 1
-    return all(np.array_equal(values[again], values[again - 1]) for values in columns)
 
 
 def _without_times(path: Path, table: Table, mapped: Mapped, name: str, time: Array) -> list[Recording]:

@@ -14,9 +14,13 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_base.config import unknown_key
 from mrd_runs.bag import Bag, read_bag
-from mrd_runs.importing.clocks import find_passes
+from mrd_runs.importing.clocks import MOST_REPEATS, are_copies, find_passes, without_rounding
+from mrd_runs.importing.quantities import Source, unit_of
 from mrd_runs.importing.stamps import Topic, align_topics
 from mrd_runs.importing.synchronise import MOTION, Series
+from mrd_runs.importing.table import Column
+from mrd_runs.importing.units import find_unit, si_unit, to_si
+from mrd_runs.importing.wrapping import unwrap
 from mrd_runs.text import one_line
 
 Array = NDArray[np.float64]
@@ -74,7 +78,9 @@ def parse_address(text: str, option: str) -> Address:
     return Address(match["topic"], match["field"], match["index"] or "")
 
 
-def read_topics(path: Path, addresses: Mapping[str, Address]) -> tuple[list[Pass], list[str], dict[str, str]]:
+def read_topics(
+    path: Path, addresses: Mapping[str, Address], time_unit: str = ""
+) -> tuple[list[Pass], list[str], dict[str, Source]]:
     """Read numbers from the messages of a bag, on one clock.
 
     Parameters
@@ -83,6 +89,8 @@ def read_topics(path: Path, addresses: Mapping[str, Address]) -> tuple[list[Pass
         Bag folder, ``.mcap`` or ``.db3`` file.
     addresses : mapping of str to Address
         By quantity; ``time`` where the messages of a single topic hold a time of their own.
+    time_unit : str
+        Unit of that time, in place of the one that the bag tells.
 
     Returns
     -------
@@ -90,8 +98,8 @@ def read_topics(path: Path, addresses: Mapping[str, Address]) -> tuple[list[Pass
         One of each time that the clock ran.
     told : list of str
         Clauses about messages and clocks.
-    units : dict of str to str
-        By quantity, where a field ``unit`` stands beside a number; "" else.
+    sources : dict of str to Source
+        By quantity, with the unit where a field ``unit`` or a name tells it.
 
     Raises
     ------
@@ -111,9 +119,10 @@ def read_topics(path: Path, addresses: Mapping[str, Address]) -> tuple[list[Pass
         values |= found
         units |= found_units
         left_out += clauses
+    sources = {quantity: _source(quantity, address, units[quantity]) for quantity, address in addresses.items()}
     if "time" in addresses:
-        timed, told = _timed_by_a_number(path, addresses, values)
-        return timed, [*left_out, *told], units
+        timed, told = _timed_by_a_number(path, addresses, values, time_unit or sources["time"].unit)
+        return timed, [*left_out, *told], sources
     of = {quantity: address.topic for quantity, address in addresses.items()}
     passes, told = align_topics(topics, list(dict.fromkeys(of[name] for name in MOTION if name in of)), str(path))
     return (
@@ -125,12 +134,20 @@ def read_topics(path: Path, addresses: Mapping[str, Address]) -> tuple[list[Pass
             for one in passes
         ],
         [*left_out, *told],
-        units,
+        sources,
     )
 
 
+def _source(quantity: str, address: Address, unit: str) -> Source:
+    """Return where a quantity comes from; its unit may stand beside it, or end the name of field, element or topic."""
+    unit = unit or unit_of(quantity, Column(f"{address.topic}.{address.field}"))
+    names = (address.index, address.topic.rpartition("/")[2])
+    ends = (found for name in names if find_unit(quantity, found := unit_of(quantity, Column(name))))
+    return Source(str(address), unit or next(ends, ""))
+
+
 def _timed_by_a_number(
-    path: Path, addresses: Mapping[str, Address], values: Mapping[str, Array]
+    path: Path, addresses: Mapping[str, Address], values: Mapping[str, Array], unit: str
 ) -> tuple[list[Pass], list[str]]:
     """Return passes of messages of one topic that hold their own time."""
     if len({address.topic for address in addresses.values()}) > 1:
@@ -138,11 +155,20 @@ def _timed_by_a_number(
             f"{path}: --topics names a time of {addresses['time'].topic}, expected one only where all numbers are of this "
             "topic; leave it out"
         )
-    time = values["time"]
-    if not np.isfinite(time).all():
+    if not np.isfinite(values["time"]).all():
         raise InputError(f"{path}: --topics: {addresses['time']} is not finite everywhere, expected times")
-    order = find_passes(time).unrepeated(time)
-    told = [*order.told, *(f"{addresses['time']} jumps back by {jump:.4g} s" for jump in order.jumps)]
+    time, wrapped = unwrap(values["time"], of_day=False)
+    time = to_si("time", time, unit or si_unit("time"), str(path))
+    order = find_passes(time)
+    if order.repeats > MOST_REPEATS and not are_copies(time, [values[name] for name in values if name != "time"]):
+        raise InputError(
+            f"{path}: --topics: {100 * order.repeats:.0f} % of the times {addresses['time']} repeat another one, expected "
+            "one of each message; leave it out: the messages then count at the times of their headers or of their receipt"
+        )
+    time, rounded = without_rounding(time, order)
+    order = order.unrepeated(time)
+    told = [*filter(None, [wrapped, rounded and f"{addresses['time']} is {rounded}"]), *order.told]
+    told += [f"{addresses['time']} jumps back by {jump:.4g} s" for jump in order.jumps]
     others = [quantity for quantity in values if quantity != "time"]
     clock = str(addresses["time"])
     return [

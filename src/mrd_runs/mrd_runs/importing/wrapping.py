@@ -38,6 +38,6 @@ def unwrap(time: Array, *, of_day: bool) -> tuple[Array, str]:
         if np.all((after > 0) & (after <= _SLACK * step)):
             begins = np.zeros(len(time))
             begins[back + 1] = period
-            name = f"after {period / 3600:g} h" if period >= 3600 else f"after {period:g}"
+            name = f"after {period / 3600:g} h" if of_day and period >= 3600 else f"after {period:g}"
             return time + np.cumsum(begins), f"the times begin again {name} and were continued"
     return time, ""
