@@ -715,6 +715,18 @@ def test_files_of_one_channel_each_are_one_recording(imported: Any, tmp_path: Pa
     assert "2 files of one channel each are one recording" in "; ".join(run.info["notes"])
 
 
+@pytest.mark.parametrize("header", ["Position [mm],Force [N]", "x [mm],F [N]", "Weg,Kraft"])
+def test_files_without_times_are_recordings_of_their_own(imported: Any, tmp_path: Path, header: str) -> None:
+    factor = 1e3 if "mm" in header else 1.0
+    for number in range(2):
+        table(tmp_path / f"r{number}.csv", header, (factor + number) * position(TIME), (1 + number) * force(TIME))
+    runs = imported(f"r0.csv r1.csv --current 0 --rate {RATE}")
+    assert [len(run) for run in runs] == [len(TIME)] * 2
+    error = imported("r0.csv r1.csv --current 0")
+    assert "r0.csv" in error
+    assert "time" in error
+
+
 def test_folders_and_patterns_mean_what_is_in_them(import_tool: Any, imported: Any, tmp_path: Path) -> None:
     (tmp_path / "day").mkdir()
     for number in range(3):
@@ -801,3 +813,24 @@ def test_the_shared_cases_that_are_refused(imported: Any, case: Any) -> None:
         f"{case('two_increments.tdms')} --current 0.5"
     )
     assert "no time series" in imported(f"{case('fv.xlsx')} --current 0.5")
+
+
+@pytest.mark.parametrize(
+    ("header", "usual", "spike", "option"),
+    [
+        ("temperature (degC)", 20.0, 1372.0, "--map temperature='temperature (degC)'"),
+        ("acceleration (m/s2)", 0.1, 2e4, "--units acceleration=m/s2"),
+        ("velocity (m/s)", 0.05, 300.0, "--units velocity=m/s"),
+    ],
+)
+def test_a_channel_that_is_not_needed_does_not_stop_the_import(
+    imported: Any, tmp_path: Path, header: str, usual: float, spike: float, option: str
+) -> None:
+    other = usual * np.cos(2 * np.pi * 0.8 * TIME)
+    other[300] = spike
+    table = np.stack([TIME, position(TIME), force(TIME), other], axis=1)
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header=f"time (s),position (m),force (N),{header}", comments="")
+    run = only(imported("a.csv --current 0"))
+    assert getattr(run, header.split()[0]) is None or np.abs(run.velocity).max() < 1.0
+    assert any(note.startswith(f"the {header.split()[0]} is left out: ") for note in run.info["notes"])
+    assert isinstance(imported(f"a.csv --current 0 {option}"), str)

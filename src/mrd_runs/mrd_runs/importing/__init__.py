@@ -10,6 +10,7 @@ from mrd_runs.importing.bags import bag_recordings
 from mrd_runs.importing.finish import Mapped
 from mrd_runs.importing.hdf5 import read_hdf5_table
 from mrd_runs.importing.matlab import read_matlab_table
+from mrd_runs.importing.quantities import is_no_time
 from mrd_runs.importing.sheet import read_sheet_table
 from mrd_runs.importing.table import Table, join_tables
 from mrd_runs.importing.tables import table_recordings
@@ -76,11 +77,17 @@ def read_together(paths: Sequence[Path], mapped: Mapped = _NOTHING) -> list[Reco
     Returns
     -------
     list of Recording or None
-        None where the files are no such set: then each is a recording of its own.
+        None where the files are no such set, because one holds more channels or none that tells its times: then each is a
+        recording of its own.
     """
-    if len(paths) < 2 or any(map(is_bag, paths)):
+    if len(paths) < 2 or any(map(is_bag, paths)) or mapped.rate is not None:
         return None
     tables = {path: _read_table(path, mapped) for path in paths}
+    firsts = [
+        next((column for column in table.columns if column.name and not column.text), None) for table in tables.values()
+    ]
+    if any(column is not None and is_no_time(column) for column in firsts):
+        return None
     joined = join_tables({path.stem: table for path, table in tables.items()})
     return None if joined is None else table_recordings(paths[0], joined, mapped)
 

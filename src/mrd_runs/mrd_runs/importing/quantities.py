@@ -158,6 +158,13 @@ def is_time(column: Column) -> bool:
     return list(_candidates([column])) == ["time"]
 
 
+def is_no_time(column: Column) -> bool:
+    """Return whether a column holds another quantity than times, by its unit or by a word: a letter such as x may be one."""
+    (quantity, *_) = [*_candidates([column]), "time"]
+    by_word = any(len(word) > 1 and is_word_of(word, quantity) for word in words_of(column.name))
+    return quantity != "time" and (by_word or find_unit(quantity, unit_of(quantity, column)) is not None)
+
+
 def _time_of(quantity: str, column: Column, columns: Sequence[Column], times: Sequence[str]) -> str | None:
     """Return the column with the times of a column; None where there is none, or where it is not clear."""
     if column.time or len(times) < 2:
