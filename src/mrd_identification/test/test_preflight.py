@@ -262,6 +262,32 @@ def test_spikes(good):
     )
 
 
+@pytest.mark.parametrize("name", ["multisine", "sine", "dwell"])
+def test_spikes_of_the_force(good, name):
+    force = run_named(good, name).force.copy()
+    force[300:5300:500] = 5 * np.ptp(force) * np.resize([1, -1], 10)
+    finding = only_finding(preflight(with_change(good, name, force=force)), "gap", name, "force")
+    assert finding.severity == "limitation"
+    assert "jumps in 10 single samples" in finding.text
+    assert finding.remedy.startswith("Check the cable")
+    assert finding.remedy.endswith("identify --loss huber`.")
+
+
+@pytest.mark.parametrize("width", [2, 3, 8])
+def test_an_impact_is_no_spike(good, width):
+    run = run_named(good, "sine")
+    force = run.force.copy()
+    for first in range(300, 5300, 500):
+        force[first : first + width] += 3 * np.ptp(run.force) * np.sin(np.pi * (np.arange(width) + 0.5) / width)
+    findings = preflight(with_change(good, "sine", force=force))
+    assert not [finding for finding in findings if "single sample" in finding.text]
+
+
+def test_a_jump_at_every_reversal_is_no_spike():
+    run = measured(simulated("chirp", model="bingham"), scale=0.1)
+    assert not [finding for finding in preflight([run]) if finding.kind == "gap"]
+
+
 @pytest.mark.parametrize("steps", [False, True])
 @pytest.mark.parametrize("name", ["sine", "multisine", "triangle"])
 def test_a_clipped_force(good, name, steps):

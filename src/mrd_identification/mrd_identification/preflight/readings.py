@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from mrd_base.tool import command
 from mrd_identification.preflight.channels import Channel, CheckedRun, counted, milli
 from mrd_identification.preflight.clock import USELESS_LOSS
 from mrd_identification.preflight.finding import Finding, Severity
@@ -55,6 +56,10 @@ SPIKE_NOISE = 20.0
 """Distance of a position from its neighbours, in standard deviations of the noise, that no rod reaches."""
 SPIKE_ACCELERATION = 600.0
 """Acceleration over that of a sine of the same stroke and speed, that no rod reaches; a drive reaches 20."""
+SPIKE_FORCE = 0.5
+"""Distance of a single force from its neighbours, over the usual range of the force, that no damper makes."""
+SPIKE_OVER_NEIGHBOURS = 3.0
+"""The same over the span of its neighbours: beside a jump of the force at a reversal and within an impact, these differ."""
 TOP_BAND = 0.8
 """Frequency over the Nyquist frequency from which the power of a well-sampled signal has fallen off."""
 ALIASED_POWER = 0.01
@@ -151,11 +156,39 @@ def _followed_by_a_jump(channel: Channel, first: Indices, last: Indices) -> Mask
 
 
 def check_spikes(checked: CheckedRun) -> Iterator[Finding]:
-    """Find single positions that are farther from their neighbours than any rod moves."""
+    """Find single positions and forces that are farther from their neighbours than any rod moves and any damper responds."""
+    yield from _check_spikes_of_position(checked)
+    yield from _check_spikes_of_force(checked)
+
+
+def _neighbours(values: Array) -> Array:
+    """Return the two samples before and the two behind each sample but the first and last two, (4, n - 4)."""
+    return np.stack([values[:-4], values[1:-3], values[3:-1], values[4:]])
+
+
+def _check_spikes_of_force(checked: CheckedRun) -> Iterator[Finding]:
+    if checked.is_slowly_sampled:  # an impact may then take one sample
+        return
+    channel = checked.channels["force"]
+    neighbours = _neighbours(channel.values)
+    distance = np.abs(channel.values[2:-2] - np.median(neighbours, axis=0))
+    low, high = np.quantile(channel.values, [0.01, 0.99])
+    least = max(SPIKE_NOISE * channel.noise, 5 * channel.resolution, SPIKE_FORCE * float(high - low))
+    spikes = distance > least + SPIKE_OVER_NEIGHBOURS * np.ptp(neighbours, axis=0)
+    if count := int(spikes.sum()):
+        text = (
+            f"the force jumps in {counted(count, 'single sample')}: it leaves its neighbours by up to "
+            f"{distance[spikes].max():.3g} N and comes back at once, which no damper does. Least squares "
+            "follow these samples. Check the cable and the amplifier of the load cell, and remove these samples, or fit "
+            f"with `{command('mrd_identification', 'identify')} --loss huber`."
+        )
+        yield checked.finding("gap", "limitation", "force", text)
+
+
+def _check_spikes_of_position(checked: CheckedRun) -> Iterator[Finding]:
     channel, interval = checked.channels["position"], checked.sampling_interval
     values = channel.values
-    neighbours = np.median(np.stack([values[:-4], values[1:-3], values[3:-1], values[4:]]), axis=0)
-    distance = np.abs(values[2:-2] - neighbours)
+    distance = np.abs(values[2:-2] - np.median(_neighbours(values), axis=0))
     least = max(
         SPIKE_NOISE * channel.noise, 5 * channel.resolution, SPIKE_ACCELERATION * checked.scales.acceleration * interval**2
     )
