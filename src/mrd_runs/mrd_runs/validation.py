@@ -11,7 +11,7 @@ from mrd_base.quantities import ZERO_CELSIUS
 from mrd_base.table import check_columns
 from mrd_runs.missing import check_missing
 from mrd_runs.run import FEWEST_SAMPLES, Run
-from mrd_runs.scales import LARGEST
+from mrd_runs.scales import LARGEST, SMALLEST
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,9 @@ _LARGEST_MAGNITUDES = {
 _LARGEST_STROKE = 2.0 * LARGEST.stroke  # m, peak to peak
 LARGEST_RATIO = 100.0
 """Velocity over the derivative of the position, from which its unit must be another one."""
+_USUAL_RATIOS = (0.5, 1.5)
+"""The same, between which a velocity is that of the position; a smoother makes it smaller."""
+_AVERAGING_TIME = 0.02  # s
 _MEDIAN_INTERVALS = (5e-6, 0.25)  # s; 4 Hz to 200 kHz
 _TIME_UNITS = {"ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "minutes": 60.0, "hours": 3600.0, "days": 86400.0}
 _LONGEST_GAP, _LARGEST_GAP = 60.0, 100.0  # s, and relative to all other times
@@ -61,7 +64,8 @@ def make_run(
     Returns
     -------
     Run
-        Its time starts at 0. Its velocity is the recorded one, or else that of the smoothed motion.
+        Its time starts at 0. Its velocity is the recorded one, where this is about the derivative of the position, or else
+        that of the smoothed motion.
 
     Raises
     ------
@@ -80,9 +84,11 @@ def make_run(
         )
     columns = {key: np.ascontiguousarray(values, np.float64) for key, values in columns.items()}
     check_values(columns, where, place)
-    notes = [*(info or {}).get("notes", ()), *_unit_notes(columns, where)]
+    notes = [*(info or {}).get("notes", ()), *_unit_notes(columns)]
     time = columns["time_s"] - columns["time_s"][0]
-    velocity, temperature = columns.get("velocity_mps"), columns.get("temperature_C")
+    velocity, note = _usable_velocity(columns, where)
+    notes += [note] if note and note not in notes else []
+    temperature = columns.get("temperature_C")
     if velocity is None:
         smoothed = smooth_motion(time, columns["position_m"], columns.get("acceleration_mps2"))
         velocity = smoothed.velocity
@@ -158,22 +164,39 @@ def magnitude_problem(name: str, values: Array) -> str:
 
 
 def velocity_ratio(time: Array, position: Array, velocity: Array) -> float:
-    """Return how many times the derivative of the position a velocity is, by their standard deviations."""
-    return float(np.std(velocity) / np.std(np.gradient(position, time)))
+    """Return how many times the derivative of the position a velocity is, in the rms of the ways within `_AVERAGING_TIME`.
+
+    A derivative from sample to sample would be mostly noise where a slow motion is sampled fast.
+    """
+    width = int(np.clip(round(_AVERAGING_TIME / float(np.median(np.diff(time)))), 1, len(time) // 4))
+    path = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)))
+    ways, expected = (float(np.sqrt(np.mean((series[width:] - series[:-width]) ** 2))) for series in (path, position))
+    return ways / expected if expected > 0.0 else 1.0
 
 
-def _unit_notes(columns: Mapping[str, Array], where: str) -> list[str]:
-    """Return notes on values that may be in another unit; refuse a velocity that must be."""
+def _usable_velocity(columns: Mapping[str, Array], where: str) -> tuple[Array | None, str]:
+    """Return the recorded velocity, or None where it is not that of the position, and a note then; refuse a unit of mm/s."""
+    velocity, position = columns.get("velocity_mps"), columns["position_m"]
+    # A rod at rest tells nothing about it.
+    if velocity is None or np.ptp(position) < 2.0 * SMALLEST.stroke:
+        return velocity, ""
+    ratio = velocity_ratio(columns["time_s"], position, velocity)
+    if ratio > LARGEST_RATIO:
+        raise InputError(
+            f"{where}: velocity_mps is {ratio:.3g} times the derivative of position_m, expected about 1; is it in mm/s?"
+        )
+    if _USUAL_RATIOS[0] <= ratio <= _USUAL_RATIOS[1]:
+        return velocity, ""
+    return None, (
+        f"velocity_mps is {ratio:.2g} times the derivative of position_m, expected about 1: it is not used; the velocity is "
+        "that of the smoothed motion"
+    )
+
+
+def _unit_notes(columns: Mapping[str, Array]) -> list[str]:
+    """Return notes on values that may be in another unit."""
     notes = []
     stroke = float(np.ptp(columns["position_m"]))
-    if "velocity_mps" in columns and stroke > 0:
-        ratio = velocity_ratio(columns["time_s"], columns["position_m"], columns["velocity_mps"])
-        if ratio > LARGEST_RATIO:
-            raise InputError(
-                f"{where}: velocity_mps is {ratio:.3g} times the derivative of position_m, expected about 1; is it in mm/s?"
-            )
-        if ratio > 1.5 or ratio < 0.5:
-            notes.append(f"velocity_mps is {ratio:.2g} times the derivative of position_m")
     span = float(np.ptp(columns["force_N"]))
     if stroke > 1e-3 and 0 < span < 5:
         notes.append(f"force_N spans only {span:.3g} N over a stroke of {stroke * 1e3:.3g} mm: is it in kN or V?")

@@ -85,6 +85,22 @@ def test_unusable_values(tmp_path: Path, columns, write_csv, key: str, change, m
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("factor", [0.0254, 0.3, 0.7, 1.0, 1.3, 3.6, 39.37])
+@pytest.mark.parametrize("speed", [1.5, 0.05])
+def test_a_velocity_is_used_where_it_is_that_of_the_position(factor: float, speed: float) -> None:
+    time = np.arange(40_000) / 10_000.0
+    w = 2 * np.pi * speed
+    noise = np.random.default_rng(0).normal(0, 8e-6, len(time))
+    position, velocity = 0.01 * np.sin(w * time) + noise, 0.01 * w * np.cos(w * time)
+    columns = {"time_s": time, "position_m": position, "current_A": 0 * time, "force_N": 900 * velocity}
+    run = make_run("run", columns | {"velocity_mps": factor * velocity})
+    used = 0.5 < factor < 1.5
+    assert np.array_equal(run.velocity, factor * velocity) == used
+    assert any("it is not used; the velocity is that of the smoothed motion" in note for note in run.info["notes"]) != used
+    if not used:
+        assert np.std(run.velocity - velocity) < 0.1 * np.std(velocity)
+
+
 @pytest.mark.parametrize("name", ["current_A", "force_N"])
 def test_the_limits_are_those_of_the_scales(columns, name: str) -> None:
     largest = LARGEST.current if name == "current_A" else LARGEST.force
