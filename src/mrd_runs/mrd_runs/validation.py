@@ -168,7 +168,7 @@ def velocity_ratio(time: Array, position: Array, velocity: Array) -> float:
 
     A derivative from sample to sample would be mostly noise where a slow motion is sampled fast.
     """
-    width = int(np.clip(round(_AVERAGING_TIME / float(np.median(np.diff(time)))), 1, len(time) // 4))
+    width = max(1, min(round(_AVERAGING_TIME / float(np.median(np.diff(time)))), len(time) // 4))
     path = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)))
     ways, expected = (float(np.sqrt(np.mean((series[width:] - series[:-width]) ** 2))) for series in (path, position))
     return ways / expected if expected > 0.0 else 1.0

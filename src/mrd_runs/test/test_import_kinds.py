@@ -834,3 +834,27 @@ def test_a_channel_that_is_not_needed_does_not_stop_the_import(
     assert getattr(run, header.split()[0]) is None or np.abs(run.velocity).max() < 1.0
     assert any(note.startswith(f"the {header.split()[0]} is left out: ") for note in run.info["notes"])
     assert isinstance(imported(f"a.csv --current 0 {option}"), str)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "factor", "unit", "problem"),
+    [
+        ("time", 1e3, "ms", "the rod would move at up to 0.000"),
+        ("position", 60.0, "mm", "the stroke would be 1.44 m, expected at most 0.4 m"),
+        ("current", 15.0, "mA", "the current would be up to 15 A"),
+    ],
+)
+def test_numbers_without_a_unit_are_doubted_at_the_ends_of_what_dampers_have(
+    imported: Any, tmp_path: Path, quantity: str, factor: float, unit: str, problem: str
+) -> None:
+    time = np.arange(12_000) / 4000
+    columns = {"time": time, "position": position(time), "force": force(time), "current": np.ones(len(time))}
+    columns[quantity] = factor * columns[quantity]
+    table(tmp_path / "a.csv", ",".join(columns), *columns.values())
+    error = imported("a.csv")
+    assert isinstance(error, str), error[0].info["notes"]
+    assert problem in error
+    assert f"{quantity}=UNIT" in error
+    only(imported(f"a.csv --units {quantity}={unit}"))
+    if quantity != "time":
+        only(imported("a.csv --units time=s position=m current=A"))

@@ -1,6 +1,6 @@
 """What a user says about a file, and the last steps from its series to a recording in SI units."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,10 +14,15 @@ from mrd_runs.importing.quantities import Source
 from mrd_runs.importing.units import COLUMNS, si_unit, to_si
 from mrd_runs.importing.words import names_compression
 from mrd_runs.missing import check_missing, missing_number
+from mrd_runs.scales import LARGEST, SMALLEST
 from mrd_runs.text import one_line
 from mrd_runs.validation import LARGEST_RATIO, magnitude_problem, velocity_ratio
 
 Array = NDArray[np.float64]
+
+
+DOUBTED = 0.2
+"""Share of the largest stroke and current of any damper, above which a number without a unit is rather in mm or mA."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,12 @@ def finish(
         What the times of each quantity were of, before they were put onto one.
     place : callable
         Returns how an error message names the sample of an index.
+
+    Raises
+    ------
+    InputError
+        For a quantity that cannot be converted, a velocity that cannot be integrated, or numbers without a unit that are
+        hardly in SI units.
     """
     absent = [quantity for quantity in (*mapped.units, *mapped.flip) if quantity not in series]
     if absent:
@@ -133,10 +144,36 @@ def finish(
         del columns["velocity"]
         notes.append(note)
         clocks = {("position" if quantity == "velocity" else quantity): clock for quantity, clock in clocks.items()}
+    unsure = {quantity for quantity, source in sources.items() if not (mapped.units.get(quantity) or source.unit)}
+    _check_without_units(path, columns, unsure)
     info = {"format": path.suffix.lstrip(".") or "text", "notes": notes, "lost": 0, "recovered": False}
     if len(set(clocks.values())) > 1:
         info["clocks"] = dict(clocks)
     return Recording({COLUMNS[quantity]: columns[quantity] for quantity in COLUMNS if quantity in columns}, info, place)
+
+
+def _check_without_units(path: Path, columns: Mapping[str, Array], unsure: Collection[str]) -> None:
+    """Refuse quantities without a unit that may be those of a damper in SI units, but are rather in others."""
+    time, position = columns["time"], columns["position"]
+    motion = [quantity for quantity in ("time", "position", "velocity") if quantity in unsure]
+    stroke = float(np.ptp(position)) if len(position) else 0.0
+    problem, asked = "", motion
+    if set(motion) - {"time"} and DOUBTED * 2 * LARGEST.stroke < stroke <= 2 * LARGEST.stroke:
+        problem = f"the stroke would be {stroke:.3g} m, expected at most {DOUBTED * 2 * LARGEST.stroke:g} m"
+    elif motion and 2 * SMALLEST.stroke < stroke <= 2 * LARGEST.stroke and np.all(np.diff(time) > 0):
+        speed = float(np.quantile(np.abs(np.gradient(position, time)), 0.995))
+        if not SMALLEST.speed <= speed <= LARGEST.speed:
+            problem = f"the rod would move at up to {speed:.3g} m/s, expected {SMALLEST.speed:g} to {LARGEST.speed:g} m/s"
+    current = columns.get("current", np.zeros(0))
+    if not problem and "current" in unsure:
+        largest = float(np.abs(current).max(initial=0.0))
+        if DOUBTED * LARGEST.current < largest <= LARGEST.current:
+            problem, asked = f"the current would be up to {largest:.3g} A", ["current"]
+    if problem:
+        given = " ".join(f"{quantity}=UNIT" for quantity in asked)
+        raise InputError(
+            f"{path}: no unit is given for the {' and the '.join(asked)}: {problem}; say so with --units {given}"
+        )
 
 
 def _unneeded_problem(quantity: str, columns: Mapping[str, Array]) -> str:
