@@ -37,7 +37,7 @@ OVER_NOISE = 1.5
 
 LEAST_CURRENT_CHANGE = 0.02
 """Share of the largest current, up to which two currents are one: a supply is not more exact, and no force changes by more
-than that. Nor does a current change by less than the smallest one of any damper."""
+than that. A current below the smallest one of any damper counts as zero."""
 
 NOISE_WINDOW = 0.05
 """s, the length of the moving average that suppresses the noise of the current sensor."""
@@ -232,24 +232,21 @@ def current_levels(runs: Sequence[Run]) -> tuple[int, bool]:
     """Return how many coil currents the runs have (3 for three or more), and whether the current changes within a run."""
     if any(current_varies(run) for run in runs):
         return 3, True
-    least = _least_change(runs)
-    means = np.sort([float(run.current.mean()) for run in runs])
+    least = LEAST_CURRENT_CHANGE * max(float(np.abs(run.current).max()) for run in runs)
+    means = np.array([float(run.current.mean()) for run in runs])
+    means = np.sort(np.where(np.abs(means) < SMALLEST.current, 0.0, means))
     deviation_of_mean = max(float(np.std(run.current)) / np.sqrt(len(run)) for run in runs)
     return min(3, 1 + int(np.sum(np.diff(means) > max(least, 10 * deviation_of_mean)))), False
 
 
 def current_varies(run: Run) -> bool:
     """Whether the coil current of a run changes by more than the noise of its sensor."""
-    least = _least_change([run])
+    least = LEAST_CURRENT_CHANGE * float(np.abs(run.current).max())
     if np.std(run.current) > max(CURRENT_DEVIATION, least, OVER_NOISE * current_noise(run.current)):
         return True
     window = max(5, int(NOISE_WINDOW * run.rate))
     # Of white noise with standard deviation sigma, the lower quartile of the absolute differences is 0.32 sqrt(2) sigma.
     noise = float(np.quantile(np.abs(np.diff(run.current)), 0.25)) / 0.45
     smooth = np.convolve(run.current, np.full(window, 1 / window), "valid")
-    return bool(np.ptp(smooth) > max(least, 12 * noise / np.sqrt(window)))
-
-
-def _least_change(runs: Sequence[Run]) -> float:
-    """Return the difference in A up to which two currents of runs are one."""
-    return max(SMALLEST.current, LEAST_CURRENT_CHANGE * max(float(np.abs(run.current).max()) for run in runs))
+    is_zero = np.abs(smooth).max() < SMALLEST.current
+    return bool(not is_zero and np.ptp(smooth) > max(least, 12 * noise / np.sqrt(window)))

@@ -47,10 +47,11 @@ def test_a_step_is_a_change() -> None:
         ((0.0, 0.004), 1),  # the offset of a sensor
         ((0.02, 0.028), 2),
         ((0.02, 0.04, 0.06), 3),
+        ((0.0, 0.006, 0.01), 3),  # a coil of very many turns
     ],
 )
 def test_currents_count_as_several_by_one_rule(currents: tuple[float, ...], levels: int) -> None:
-    runs = [run_of(level, noise=0.0005) for level in currents]
+    runs = [run_of(level, noise=0.0001) for level in currents]
     assert current_levels(runs) == (levels, False)
     (text,) = (finding.text for finding in preflight(runs) if finding.channel == "current")
     assert ("never changes" in text) == (levels == 1)

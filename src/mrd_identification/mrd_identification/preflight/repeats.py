@@ -94,7 +94,8 @@ def _current_difference(first: CheckedRun, second: CheckedRun, shift: int) -> tu
     span = max(*(float(np.ptp(current)) for current in currents), *(0.5 * float(np.abs(c).max()) for c in currents))
     difference = float(np.sqrt(np.mean((currents[0] - currents[1]) ** 2)))
     noise = first.channels["current"].noise + second.channels["current"].noise
-    return difference, difference <= max(SMALLEST.current, 0.1 * span) + 4 * noise
+    largest = max(float(np.abs(current).max()) for current in currents)
+    return difference, largest < SMALLEST.current or difference <= 0.1 * span + 4 * noise
 
 
 def _check_force_of_repeat(first: CheckedRun, second: CheckedRun, shift: int) -> Iterator[Finding]:
