@@ -31,7 +31,7 @@ LARGEST_RATIO = 100.0
 _USUAL_RATIOS = (0.5, 1.5)
 """The same, between which a velocity is that of the position; a smoother makes it smaller."""
 _AVERAGING_TIME = 0.02  # s
-_MEDIAN_INTERVALS = (5e-6, 0.25)  # s; 4 Hz to 200 kHz
+MEDIAN_INTERVALS = (5e-6, 0.25)  # s; 4 Hz to 200 kHz
 _TIME_UNITS = {"ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "minutes": 60.0, "hours": 3600.0, "days": 86400.0}
 _LONGEST_GAP, _LARGEST_GAP = 60.0, 100.0  # s, and relative to all other times
 _TEMPERATURES = (-60.0, 220.0)  # °C; the limits of damper oils and seals
@@ -130,7 +130,7 @@ def _check_gaps(time: Array, where: str, place: Callable[[int], str]) -> None:
 def _check_units(columns: Mapping[str, Array], where: str) -> None:
     """Refuse values that must be in another unit."""
     interval = float(np.median(np.diff(columns["time_s"])))
-    shortest, longest = _MEDIAN_INTERVALS
+    shortest, longest = MEDIAN_INTERVALS
     if not shortest <= interval <= longest:
         units = [unit for unit, size in _TIME_UNITS.items() if shortest <= interval * size <= longest]
         raise InputError(

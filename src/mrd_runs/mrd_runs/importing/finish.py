@@ -16,7 +16,7 @@ from mrd_runs.importing.words import names_compression
 from mrd_runs.missing import check_missing, missing_number
 from mrd_runs.scales import LARGEST, SMALLEST
 from mrd_runs.text import one_line
-from mrd_runs.validation import LARGEST_RATIO, magnitude_problem, velocity_ratio
+from mrd_runs.validation import LARGEST_RATIO, MEDIAN_INTERVALS, magnitude_problem, velocity_ratio
 
 Array = NDArray[np.float64]
 
@@ -153,14 +153,22 @@ def finish(
 
 
 def _check_without_units(path: Path, columns: Mapping[str, Array], unsure: Collection[str]) -> None:
-    """Refuse quantities without a unit that may be those of a damper in SI units, but are rather in others."""
+    """Refuse quantities without a unit that may be those of a damper in SI units, but are rather in others.
+
+    `mrd_runs.validation` refuses those that cannot be, and names the unit that they may be in.
+    """
     time, position = columns["time"], columns["position"]
     motion = [quantity for quantity in ("time", "position", "velocity") if quantity in unsure]
     stroke = float(np.ptp(position)) if len(position) else 0.0
     problem, asked = "", motion
     if set(motion) - {"time"} and DOUBTED * 2 * LARGEST.stroke < stroke <= 2 * LARGEST.stroke:
         problem = f"the stroke would be {stroke:.3g} m, expected at most {DOUBTED * 2 * LARGEST.stroke:g} m"
-    elif motion and 2 * SMALLEST.stroke < stroke <= 2 * LARGEST.stroke and np.all(np.diff(time) > 0):
+    elif (
+        motion
+        and 2 * SMALLEST.stroke < stroke <= 2 * LARGEST.stroke
+        and np.all(np.diff(time) > 0)
+        and MEDIAN_INTERVALS[0] <= np.median(np.diff(time)) <= MEDIAN_INTERVALS[1]
+    ):
         speed = float(np.quantile(np.abs(np.gradient(position, time)), 0.995))
         if not SMALLEST.speed <= speed <= LARGEST.speed:
             problem = f"the rod would move at up to {speed:.3g} m/s, expected {SMALLEST.speed:g} to {LARGEST.speed:g} m/s"
