@@ -163,6 +163,7 @@ def magnitude_problem(name: str, values: Array) -> str:
     return ""
 
 
+@np.errstate(all="ignore")  # a stranger's numbers may be anything
 def velocity_ratio(time: Array, position: Array, velocity: Array) -> float:
     """Return how many times the derivative of the position a velocity is, in the rms of the ways within `_AVERAGING_TIME`.
 

@@ -152,6 +152,7 @@ def finish(
     return Recording({COLUMNS[quantity]: columns[quantity] for quantity in COLUMNS if quantity in columns}, info, place)
 
 
+@np.errstate(all="ignore")  # a stranger's numbers may be anything
 def _check_without_units(path: Path, columns: Mapping[str, Array], unsure: Collection[str]) -> None:
     """Refuse quantities without a unit that may be those of a damper in SI units, but are rather in others.
 
@@ -184,6 +185,7 @@ def _check_without_units(path: Path, columns: Mapping[str, Array], unsure: Colle
         )
 
 
+@np.errstate(all="ignore")  # a stranger's numbers may be anything
 def _unneeded_problem(quantity: str, columns: Mapping[str, Array]) -> str:
     """Return why a channel that a recording does not need would stop its import; "" where it would not."""
     values = columns[quantity]

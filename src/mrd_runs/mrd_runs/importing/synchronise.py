@@ -99,6 +99,7 @@ def synchronise(series: Mapping[str, Series], rate: float | None, where: str) ->
     return columns, notes if done or holes or rate is not None or gap > _HOLE * step else []
 
 
+@np.errstate(all="ignore")  # a stranger's numbers may be anything
 def _without_holes(series: Mapping[str, Series], common: Array) -> tuple[Array, list[str]]:
     """Leave out the samples within holes of the series of motion and force; return the others and notes on the holes."""
     kept, notes = np.ones(len(common), bool), []
