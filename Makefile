@@ -6,6 +6,7 @@ SHELL := /bin/bash
 
 PACKAGES := $(patsubst src/%/,%,$(wildcard src/*/))
 TYPED := $(filter-out mrd_interfaces mrd_bringup,$(PACKAGES))
+LINT := ruff format --check --quiet; ruff check; mypy $(addprefix -p ,$(TYPED))
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -25,13 +26,13 @@ demo-control: build  ## run a hybrid test on the simulated bench: an emulated qu
 # a bench as it should; such a test is run once more, and the summary says so.
 test: build  ## check style and types, then run all tests but the slow ones
 	@. ./env.sh; mkdir -p build; python -m mrd_sim.compile_ahead & compiled=$$!; \
-	$(MAKE) --no-print-directory lint; wait $$compiled; \
+	$(LINT); wait $$compiled; \
 	python -m pytest --reruns 1 -m 'realtime and not slow' > build/realtime.log 2>&1 & realtime=$$!; \
 	nice python -m pytest -n logical --dist loadfile --no-loadscope-reorder -m 'not slow and not realtime' || failed=1; \
 	wait $$realtime || failed=1; cat build/realtime.log; [ -z "$$failed" ]
 
 lint: build  ## check style (ruff) and types (mypy)
-	@. ./env.sh; ruff format --check --quiet; ruff check; mypy $(addprefix -p ,$(TYPED))
+	@. ./env.sh; $(LINT)
 
 # MOMENTS: random moments at which each node is killed, terminated and stopped.
 MOMENTS ?= 3
