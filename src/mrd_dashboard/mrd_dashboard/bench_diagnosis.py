@@ -1,13 +1,12 @@
 """A diagnosis on the bench, which records what it needs: how far it is, and what it has found."""
 
 import dataclasses
-import json
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from mrd_base import InputError
-from mrd_dashboard.kept_file import keep
+from mrd_dashboard.kept_file import keep, read_kept
 
 SHOWN = re.compile(r"diagnosis\.html|round_\d+/report/gap_report\.html")
 """Pages that it writes, below its folder."""
@@ -98,16 +97,14 @@ class BenchDiagnosis:
     problem: str = ""
 
     def __post_init__(self) -> None:
-        if self.file is None or not self.file.exists():
-            return
+        kept = read_kept(self.file)
         try:
-            kept = json.loads(self.file.read_text(encoding="utf-8"))
             asked = {**kept["request"], "folder": Path(kept["request"]["folder"]), "runs": tuple(kept["request"]["runs"])}
             self.request = BenchDiagnosisRequest(**asked)
             self.running, self.can_go_on = bool(kept["running"]), bool(kept["can_go_on"])
             self.added, self.sentence = [str(added) for added in kept["added"]], str(kept["sentence"])
-        except (ValueError, TypeError, KeyError, OSError):
-            self.request, self.running, self.can_go_on = None, False, False  # of another version
+        except (TypeError, KeyError):  # nothing kept, or by another version
+            self.request, self.running, self.can_go_on = None, False, False
 
     def _keep(self) -> None:
         if self.request is not None:

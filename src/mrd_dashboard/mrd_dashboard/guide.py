@@ -11,7 +11,7 @@ import numpy as np
 
 from mrd_base import InputError
 from mrd_dashboard.jobs import Job
-from mrd_dashboard.kept_file import keep
+from mrd_dashboard.kept_file import keep, read_kept
 from mrd_diagnosis.closure.closure import exceeded_ranges
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.validation_page import NEAR_NOISE
@@ -77,15 +77,13 @@ class Guide:
     problem: str = ""
 
     def __post_init__(self) -> None:
-        if self.file is None or not self.file.exists():
-            return
+        kept = read_kept(self.file)
         try:
-            kept = json.loads(self.file.read_text(encoding="utf-8"))
             self.outcomes = {step: Outcome(**kept["outcomes"][step]) for step in STEPS if step in kept["outcomes"]}
             self.runs, self.held_back = tuple(kept["runs"]), tuple(kept["held_back"])
             self.under_way = tuple(kept["under_way"]) if kept["under_way"] else None
-        except (ValueError, TypeError, KeyError, OSError):
-            self.outcomes = {}  # of another version
+        except (TypeError, KeyError):  # nothing kept, or by another version
+            self.outcomes = {}
 
     def _keep(self) -> None:
         content = dataclasses.asdict(self)

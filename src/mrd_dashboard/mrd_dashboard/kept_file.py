@@ -5,6 +5,17 @@ from pathlib import Path
 from typing import Any
 
 
+def read_kept(file: Path | None) -> dict[str, Any]:
+    """Return what a file holds; nothing without a file, and where it holds no JSON object."""
+    if file is None or not file.exists():
+        return {}
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, OSError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
 def keep(content: Any, file: Path | None, what: str) -> str:
     """Write a file, complete or not at all; return why that failed, or "".
 
