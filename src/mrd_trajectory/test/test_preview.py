@@ -33,6 +33,7 @@ def test_prints_duration_peaks_and_limits(run):
     assert out.startswith("paper: 60.23 s, of which the waveforms 0.12 to 60.12 s")
     assert ["position", "5", "26", "mm"] in lines
     assert ["largest", "current", "150", "1000", "mA"] in lines
+    assert out.endswith(f"\nlimits: {CONFIG / 'bench.yaml'}\n")
 
 
 def test_writes_a_page_that_needs_no_network(run, tmp_path):
@@ -83,6 +84,7 @@ def test_a_folder_gives_a_table_of_its_experiments(run, tmp_path, monkeypatch):
     assert header.split()[:2] == ["run", "s"]
     assert first.split()[:8] == ["01_multisine", "15", "-15", "to", "15", "81.8", "0", "to"]
     assert any(line.startswith(" 10_repeat ") for line in rest)
+    assert rest[-1] == f"limits: {CONFIG / 'bench.yaml'}"
     status, out, err = run(tmp_path)
     assert (status, err) == (2, f"error: {tmp_path}: has no experiments; put files NAME.yaml there\n")
     (tmp_path / "wrong.yaml").write_text("name: wrong")

@@ -31,9 +31,13 @@ def main() -> None:
         nargs="?",
         type=Path,
         metavar="EXPERIMENT.yaml|TEST.yaml|FOLDER",
-        help="of a damper test or a folder, a table of its experiments is printed",
+        help="an experiment; for a damper test or a folder, a table of its experiments is printed",
     )
-    parser.add_argument("--bench", default=os.environ.get("MRD_BENCH"), help="file with the limits; default: $MRD_BENCH")
+    parser.add_argument(
+        "--bench",
+        default=os.environ.get("MRD_BENCH"),
+        help="file with the limits; default: $MRD_BENCH, else the shipped limits",
+    )
     parser.add_argument("--output", metavar="PREVIEW.html", help="page with position, velocity, acceleration and current")
     parser.add_argument("--markdown", action="store_true", help="print the table of a folder in Markdown")
     parser.add_argument("--waveforms", action="store_true", help="list the waveforms and their parameters")
@@ -66,6 +70,7 @@ def _preview(arguments: argparse.Namespace) -> None:
             print(_markdown(_HEADER, *map(_row, plans)))
         else:
             _print_table(_HEADER, *map(_row, plans))
+            print(f"\n{_limits_from(arguments.bench)}")
         return
     (planned,) = plans
     experiment = planned.experiment
@@ -73,9 +78,14 @@ def _preview(arguments: argparse.Namespace) -> None:
     print(f"{experiment.name}: {planned.duration:.2f} s, of which the waveforms {start:.2f} to {end:.2f} s\n")
     rows = [(p.quantity, f"{p.value:.4g}", f"{p.limit:.4g}", p.unit) for p in planned.peaks]
     _print_table(("peak", "value", "limit", "unit"), *rows)
+    print(f"\n{_limits_from(arguments.bench)}")
     if arguments.output:
         _write_page(planned, arguments.experiment, Path(arguments.output))
-        print(f"\n{Path(arguments.output).resolve()}")
+        print(Path(arguments.output).resolve())
+
+
+def _limits_from(bench: str | None) -> str:
+    return f"limits: {bench}" if bench else "limits: the shipped ones; give --bench or set MRD_BENCH for those of a bench"
 
 
 def _read_plans(file: Path, settings: GeneratorSettings) -> list[Plan]:
