@@ -44,7 +44,7 @@ COUNT ?= 20000
 fuzz: build  ## feed changed inputs to everything that reads
 	@. ./env.sh; python fuzz/readers.py --count $(COUNT) --seconds 1e6
 
-# DURATION: s, by the wall's clock.
+# DURATION: s of wall-clock time.
 DURATION ?= 1800
 soak: build  ## record at 2 kHz for half an hour; print losses, memory and latency
 	@. ./env.sh; python benchmarks/recorder.py --duration $(DURATION)

@@ -1,4 +1,4 @@
-"""From sample to setpoint on the wall's clock: the controller of a hybrid test as a process, fed at 500 Hz.
+"""From sample to setpoint in wall-clock time: the controller of a hybrid test as a process, fed at 500 Hz.
 
 One process publishes blocks of 2 ms of 1 kHz samples, the shipped node `controller` closes the loop of the shipped quarter
 car, and this process hears the setpoints: all through ROS, in the middleware's shared memory, as on a bench. A cycle counts

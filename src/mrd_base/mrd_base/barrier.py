@@ -158,7 +158,7 @@ class Barrier:
                 timeout = self._advance(plant)
 
     def close(self) -> None:
-        """Release the participants, for whom time goes on as on the wall."""
+        """Release the participants, for whom time goes on by the machine's clock."""
         # The file of the time is the first to go: by its lock, participants tell that the owner has ended.
         time_file(self._path).unlink(missing_ok=True)
         self._time_file.close()

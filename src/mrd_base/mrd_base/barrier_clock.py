@@ -124,8 +124,8 @@ class BarrierClock(BenchClock):
 
     The process is at work as long as one of its threads is `busy`, and while it processes what came with a grant of the
     owner: first messages, then timers, then threads whose waits end. Afterwards it reports when it next has something to do.
-    If the owner of the time is lost, time goes on as on the wall, so that the node's own watchdogs act. A process that the
-    owner has left behind, because it was stopped, follows the owner's time from then on.
+    If the owner of the time is lost, time goes on by the machine's clock, so that the node's own watchdogs act. A process
+    that the owner has left behind, because it was stopped, follows the owner's time from then on.
 
     Parameters
     ----------
@@ -466,7 +466,7 @@ class BarrierClock(BenchClock):
         self._send(Packet.MATCHED)
 
     def _go_on_alone(self) -> None:
-        """Go on without the owner's grants: by its time as long as it lives, then as on the wall."""
+        """Go on without the owner's grants: by its time as long as it lives, then by the machine's clock."""
         time.sleep(_END_OF_OWNER)
         if _has_owner(self._path):
             self.on_loss("the bench has gone on without this process, which stood still")
@@ -487,11 +487,11 @@ class BarrierClock(BenchClock):
                 self._wake(waiter)
 
     def _note_loss_of_owner(self) -> None:
-        """Let time go on as on the wall if nobody owns it any more."""
+        """Let time go on by the machine's clock if nobody owns it any more."""
         if self._alone is None and not _has_owner(self._path):
             self._alone = self._time[0] - time.monotonic()
             if not self._left:
-                self.on_loss("the owner of the bench time is lost; time goes on as on the wall")
+                self.on_loss("the owner of the bench time is lost; bench time follows the machine's clock")
 
 
 def _has_owner(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""The lease: the supervisor's leave to move rod and coil, which it renews as long as it watches (docs/safety.md).
+"""The lease: the supervisor's permission to move the rod and to drive the coil, renewed every 40 ms (docs/safety.md).
 
 One message serves as heartbeat and as ownership. Servo and DAQ move nothing without a lease, stop by themselves when it is
 no longer renewed, and follow only setpoints that carry its number.

@@ -36,5 +36,5 @@ def read_text_file(path: Path, expected: str, largest: int = LARGEST) -> str:
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
     if not is_file:
-        raise InputError(f"{path}: is no file, expected {expected}")
+        raise InputError(f"{path}: is not a file, expected {expected}")
     raise InputError(f"{path}: has {found.st_size} bytes, expected {expected} of at most {largest}")

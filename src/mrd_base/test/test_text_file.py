@@ -20,7 +20,7 @@ def test_a_text_is_read_with_or_without_a_mark(mark: bytes, tmp_path: Path) -> N
 def test_what_has_no_end_or_no_beginning_is_not_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for name in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
-        with pytest.raises(InputError, match=f"^{name}: is no file, expected a YAML file$"):
+        with pytest.raises(InputError, match=f"^{name}: is not a file, expected a YAML file$"):
             read_yaml(name)
 
 

@@ -141,7 +141,8 @@ def test_each_limit_trips_its_interlock_and_says_value_limit_and_remedy(
         ),
         (
             {"temperature": math.nan, "has_thermometer": True},
-            "the damper's thermometer is at the end of its range, so that the limit of 71 degC cannot be watched; check",
+            "the damper's thermometer is at the end of its range, so that the limit of 71 degC cannot be watched; check the "
+            'sensor, its amplifier and wiring; if there is none, set channels.temperature.input: ""',
         ),
         ({"current": -0.2}, "-0.200 A through the coil, allowed -0.100 to 1.100 A"),
     ],
@@ -295,5 +296,5 @@ def test_a_hybrid_test_without_a_usable_name_is_refused(text: str, tmp_path: Pat
 
 
 def test_a_goal_that_names_a_device_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RefusedError, match=r"^/dev/zero: is no file, expected a YAML file$"):
+    with pytest.raises(RefusedError, match=r"^/dev/zero: is not a file, expected a YAML file$"):
         single_run("/dev/zero", "", 0, tmp_path)

@@ -71,7 +71,7 @@ def test_setpoints_that_stop_stop_the_rod(homed):
     homed.run(0.18)
     assert "X" in homed.motor.log
     assert homed.motor.velocity == 0
-    assert "setpoints stopped" in homed.status.message
+    assert "setpoints stopped while the rod moved; check the node that sends them" in homed.status.message
     assert homed.status.enabled, "it holds the rod"
     stands = homed.rod
     homed.run(0.3, lambda now: RodSetpoint(now, stands + 0.5 * MM, 0, 0))

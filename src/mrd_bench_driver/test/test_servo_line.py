@@ -374,7 +374,7 @@ def test_node_homes_follows_and_lets_go(fake):
         enter(msg.BenchState.IDENTIFICATION)
         assert call(SetBool, "servo/enable", data=True).success
         spin(lambda: states[-1].enabled)
-        # The supervisor's request to let go may be lost, but not the end of its leave to move.
+        # The supervisor's request to let go may be lost, but not the end of its permission to move.
         enter(msg.BenchState.IDLE)
         spin(lambda: not states[-1].enabled)
         # The supervisor's own request is no stop by somebody, but nobody goes on with the lease after it either.

@@ -254,7 +254,7 @@ def read_batch(folder: str | Path) -> Batch:
     """
     root = Path(folder)
     if not root.is_dir():
-        raise InputError(f"{folder}: is no folder, expected one with acceptance.json or characterisation.json in it")
+        raise InputError(f"{folder}: is not a folder, expected one with acceptance.json or characterisation.json in it")
     entries, notes = [], []
     for file in find_tests(root):
         try:

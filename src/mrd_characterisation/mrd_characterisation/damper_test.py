@@ -122,5 +122,7 @@ def _date(text: str, where: str) -> datetime:
     try:
         moment = datetime.fromisoformat(text.strip())
     except ValueError:
-        raise InputError(f"{where}: {text!r} is no date, expected a date such as 2024-05-31 or 2024-05-31T14:00") from None
+        raise InputError(
+            f"{where}: {text!r} is not a date, expected a date such as 2024-05-31 or 2024-05-31T14:00"
+        ) from None
     return moment if moment.tzinfo else moment.replace(tzinfo=UTC)

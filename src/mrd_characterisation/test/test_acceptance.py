@@ -239,5 +239,5 @@ def test_what_recordings_say_of_the_test_is_taken_and_can_be_overruled(simulated
     assert damper_test([replace(run, info={"source": "shelf/SN-8/a.csv"})]).serial == "SN-8"
     test = damper_test([said], serial="SN-9", date="2026-04-02", rig="2")
     assert (test.serial, test.day, test.rig) == ("SN-9", "2026-04-02", "2")
-    with pytest.raises(InputError, match="--date: 'yesterday' is no date"):
+    with pytest.raises(InputError, match="--date: 'yesterday' is not a date"):
         damper_test([said], date="yesterday")

@@ -144,7 +144,7 @@ def test_what_is_odd_is_told_and_hides_nothing(tmp_path):
 def test_an_empty_folder_and_none_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"holds no acceptance.json or characterisation.json"):
         read_batch(tmp_path)
-    with pytest.raises(InputError, match="is no folder"):
+    with pytest.raises(InputError, match="is not a folder"):
         read_batch(tmp_path / "none")
 
 

@@ -159,7 +159,7 @@ def parse_candidate(text: str) -> Candidate:
         try:
             gains[key.strip()] = float(value)
         except ValueError:
-            raise InputError(f"law {text}: {part} is no parameter with its value, expected NAME=VALUE") from None
+            raise InputError(f"law {text}: {part} is not a parameter with its value, expected NAME=VALUE") from None
     law.values(gains)
     return Candidate(text, name, gains)
 

@@ -163,7 +163,7 @@ class OnlineLoop:
                 f"{1e3 * experiment.cycle:g} ms; start the daq with a smaller block_ms"
             )
         if not (np.isfinite(force).all() and np.isfinite(rod).all()):
-            raise InputError("a measured force or position is no number; check the daq")
+            raise InputError("a measured force or position is not a number; check the daq")
         n = min(len(force), experiment.samples - self.samples)
         before, energy = self._command, 0.0
         base = self._base[self.samples : self.samples + n + 1]

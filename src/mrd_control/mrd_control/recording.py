@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 CYCLES = "control_cycle"
 """Last part of the name of the topic."""
 DEADLINE = 2e-3
-"""s of the wall's clock, within which a cycle has to be computed: the period at 500 Hz."""
+"""s of wall-clock time, within which a cycle has to be computed: the period at 500 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Timing:
     interval, latency : ndarray (m,)
         s of bench time between cycles, and from the last sample of a block to its setpoint.
     computation : ndarray (m,)
-        s of the wall's clock.
+        s of wall-clock time.
     missed : int
         Deadlines.
     """

@@ -1,4 +1,4 @@
-"""The controller as a process on the wall's clock: a missed deadline, and bad goals."""
+"""The controller as a process in wall-clock time: a missed deadline, and bad goals."""
 
 import array
 import signal

@@ -120,7 +120,7 @@ OTHER_SCHEMA = json.dumps({"schema": "mrd-fit/1", "model": "bingham"})
     [
         (["--laws", "skyhok"], "unknown law skyhok; did you mean skyhook"),
         (["--laws", "skyhook:gain=3"], "law skyhook: unknown parameter gain"),
-        (["--laws", "skyhook:skyhook_viscous=much"], "skyhook_viscous=much is no parameter with its value"),
+        (["--laws", "skyhook:skyhook_viscous=much"], "skyhook_viscous=much is not a parameter with its value"),
         (["--laws", "skyhook:skyhook_viscous=-5"], "skyhook_viscous is -5 N s/m, expected 1 to 1e+06"),
         (["--pareto", "skyhok"], "unknown law skyhok"),
         (["--system", "negative.yaml"], "negative.yaml: sprung_mass_kg: found -320, expected 1 to 100000"),

@@ -262,7 +262,7 @@ def test_a_passive_damper_gives_less_than_the_balance_of_energy_allows():
     [
         (0.002, [0.0], "samples come at 500 Hz, expected 1000 Hz"),
         (0.001, [0.0] * 20, "blocks of 20 ms, expected at most the cycle of 4 ms"),
-        (0.001, [0.0, np.nan], "is no number"),
+        (0.001, [0.0, np.nan], "is not a number"),
     ],
 )
 def test_samples_that_cannot_be_used_end_the_loop(shipped, period, force, said):

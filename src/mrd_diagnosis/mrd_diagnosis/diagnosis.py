@@ -120,7 +120,7 @@ class Candidate:
     nrmse : float
         Error on held-out data.
     closed_fraction : Interval
-        Share of the explainable gap that they close on held-out data.
+        Share of the gap that they close on held-out data.
     p_value : float
         Probability of so large an improvement if there were no effect, over all candidates together.
     probability : float
@@ -285,7 +285,7 @@ class AlternativeModel:
     nrmse : float
         Error on held-out data.
     closed_fraction : Interval
-        Share of the explainable gap that it closes.
+        Share of the gap that it closes.
     model : str
         Id of the model.
     law : str
@@ -372,7 +372,7 @@ class Gap:
     before, after : Interval
         Error of the model refitted without any effect, and with the causes (or the nearest candidate).
     closed_fraction : Interval
-        Share of the explainable gap that lies between ``before`` and ``after``; nan without effects.
+        Share of the gap that lies between ``before`` and ``after``; nan without effects.
     as_given : float or None
         Error of the simulator with the parameters that were handed in; None without them.
     explainable_fraction : float

@@ -287,7 +287,7 @@ def test_what_is_seen_and_not_determined_has_no_probability_and_nothing_to_apply
     # Where it does not close the whole gap either, it is what the headline says all the same.
     nearest = with_sentence(diagnosis, verdict="unknown_effect", gap=replace(diagnosis.gap, closed_fraction=about(0.6)))
     assert nearest.sentence.startswith("Seen, not determined: the force channel is late by 12")
-    assert "It would remove 60 % of the explainable gap" in nearest.sentence
+    assert "It would remove 60 % of the gap" in nearest.sentence
     assert "a wider range" in next_step(nearest)
 
 
@@ -544,7 +544,7 @@ WHERE = r"[\w %]+ of {} lies? .*, which is (\d+|less than 1) % of the samples\."
 def test_sentences():
     assert re.fullmatch(
         r"The force channel is late by 12\.0 ± 0\.6 ms \(probability 90 % among the 15 effects that were tried\)\. "
-        r"Adding this effect removes 100 % of the explainable gap\. "
+        r"Adding this effect removes 100 % of the gap\. "
         r"On the runs that go beyond the others in stroke, speed or current, this removes only 90 %\. "
         rf"{WHERE.format('the error')} .*delay of the force channel must show\.",
         diagnosed("explained").sentence,
@@ -576,7 +576,7 @@ def test_the_sentence_on_a_part_of_the_gap():
     diagnosis = diagnosed("partly_explained")
     assert re.fullmatch(
         r"The force channel is late by 11\.9 ± 0\.6 ms \(probability 90 % among the 15 effects that were tried\)\. "
-        r"Adding this effect removes 26 % of the explainable gap\. "
+        r"Adding this effect removes 26 % of the gap\. "
         r"In place of delay of the force channel, the cause may be lag behind the coil current \(7 %\)\. "
         r"Another 8 % lies in the form of the damper model: in how its force depends on speed, recent travel and current\. "
         rf"{WHERE.format('the remaining error')}",
@@ -586,7 +586,7 @@ def test_the_sentence_on_a_part_of_the_gap():
     more = with_sentence(diagnosis, gap=replace(diagnosis.gap, form_fraction=0.9))
     assert more.sentence.startswith("Most of the gap (74 %) lies in the form")
     little = with_sentence(diagnosis, gap=replace(diagnosis.gap, form_fraction=0.03), where=(), alternatives=())
-    assert little.sentence.endswith("of the explainable gap.")
+    assert little.sentence.endswith("of the gap.")
 
 
 def test_an_alternative_that_was_not_refitted_has_no_size():
@@ -662,12 +662,12 @@ def test_the_sentence_on_ambiguous_causes():
     assert re.fullmatch(
         r"These runs do not show whether the force channel is late by 12\.0 ± 0\.6 ms or the damper's force lags its "
         r"current by 9\.0 ± 0\.5 ms \(probabilities 90 % and 38 %\)\. "
-        rf"The most likely explanation removes \d+ % of the explainable gap\. {WHERE.format('the error')} .*",
+        rf"The most likely explanation removes \d+ % of the gap\. {WHERE.format('the error')} .*",
         diagnosis.sentence,
     )
     assert re.fullmatch(
         r"Probably the force channel is late by 12\.0 ± 0\.6 ms \(probability 90 % among the 15 effects that were tried\)\. "
-        rf"Adding this effect removes \d+ % of the explainable gap\. {WHERE.format('the error')} .*must show\.",
+        rf"Adding this effect removes \d+ % of the gap\. {WHERE.format('the error')} .*must show\.",
         with_sentence(diagnosis, alternatives=()).sentence,
     )
     model = replace(diagnosis.alternatives[0], effect="sigmoid", parameters={})

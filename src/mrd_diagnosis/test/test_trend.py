@@ -192,7 +192,7 @@ def test_dates_come_from_the_recordings_or_the_order():
     assert make_calendar(days, ["2024-01-01"] * 4).source == "given"
     with pytest.raises(InputError, match="3 dates for 4 runs"):
         make_calendar(days, ["2024-01-01"] * 3)
-    with pytest.raises(InputError, match="'monday' is no date, expected a date such as 2024-05-31"):
+    with pytest.raises(InputError, match="'monday' is not a date, expected a date such as 2024-05-31"):
         make_calendar(days, ["monday"] * 4)
 
 

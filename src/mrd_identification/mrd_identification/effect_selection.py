@@ -126,7 +126,7 @@ class Selection:
     @property
     def sentences(self) -> list[str]:
         """What was added and why the selection ended, a sentence each."""
-        parts = f"{self.parts} {'runs' if self.of_runs else 'stretches'} left out in turn"
+        parts = f"{self.parts} {'runs' if self.of_runs else 'segments'} left out in turn"
         steps = [
             f"{step.effect} was added: on {parts} it removes {_share(step)} of the squared error and lowers the NRMSE from "
             f"{step.nrmse_before:.4f} to {step.nrmse_after:.4f}"

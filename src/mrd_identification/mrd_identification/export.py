@@ -132,7 +132,10 @@ def export_damper(
     damper = load_damper(file, anyway=anyway)
     values = dict(zip(damper.model.names, map(float, damper.theta), strict=True))
     if without_effects and damper.model.stands_for:
-        raise InputError(f"{file}: corrects the simulator {damper.model.stands_for}, which is what is left without effects")
+        raise InputError(
+            f"{file}: is a correction of the simulator {damper.model.stands_for}; without effects nothing is left to "
+            f"export, so use {damper.model.stands_for} itself"
+        )
     if without_effects:
         values = {name: value for name, value in values.items() if "." not in name}
         damper = Damper(damper.model.id, values, damper.model.laws)

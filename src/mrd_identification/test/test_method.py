@@ -24,7 +24,7 @@ def test_texts_become_a_method():
     [
         ({"fixed": ["offset"]}, "fixed parameter offset: expected PARAMETER=VALUE with a number"),
         ({"fixed": ["offset=much"]}, "fixed parameter offset=much: expected PARAMETER=VALUE with a number"),
-        ({"laws": "viscous="}, "current law: viscous= is no current law"),
+        ({"laws": "viscous="}, "current law: viscous= is not a current law"),
         ({"loss": "absolute"}, "loss 'absolute': expected linear, soft_l1, huber"),
         ({"population": 7}, "population 7, .*expected at least 8, 1 and 1"),
         ({"seed": -1}, "seed is -1, expected a whole number of 0 or more"),

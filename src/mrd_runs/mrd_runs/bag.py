@@ -365,7 +365,7 @@ def find_storage(path: Path) -> tuple[list[Path], Metadata | None]:
         if not file.exists():
             raise InputError(f"{file}: no such file or folder")
         if not file.is_file() or file.suffix not in SUFFIXES:
-            raise InputError(f"{file}: is no .mcap or .db3 file; expected a bag")
+            raise InputError(f"{file}: is not an .mcap or .db3 file; expected a bag")
         if file.stat().st_size == 0:
             raise InputError(f"{file}: is empty; expected a bag")
     return files, metadata

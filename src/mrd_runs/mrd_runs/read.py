@@ -19,6 +19,12 @@ from mrd_runs.validation import make_run
 
 Array = NDArray[np.float64]
 
+RUN_HELP = (
+    "bag, .mcap, .db3 or CSV file; a folder or a quoted pattern of these; or a file of another program that needs no option "
+    "of `import`"
+)
+"""Help of an argument that `read_runs` reads."""
+
 MOST_FOLDERS = 20
 """Folders that a description of runs lists."""
 

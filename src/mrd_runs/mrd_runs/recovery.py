@@ -108,7 +108,7 @@ def _find_files(path: Path, losses: list[str]) -> tuple[list[Path], Metadata | N
         raise InputError(f"{path}: no such file or folder")
     if not path.is_dir():
         if path.suffix not in SUFFIXES or not path.is_file():
-            raise InputError(f"{path}: is no .mcap or .db3 file; expected a bag")
+            raise InputError(f"{path}: is not an .mcap or .db3 file; expected a bag")
         return [path], None
     metadata = None
     try:

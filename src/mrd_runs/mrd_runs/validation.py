@@ -122,8 +122,9 @@ def _check_gaps(time: Array, where: str, place: Callable[[int], str]) -> None:
     rest = float(time[-1] - time[0] - steps[index])
     if steps[index] > max(_LONGEST_GAP, _LARGEST_GAP * rest):
         raise InputError(
-            f"{where}: {place(index + 1)}: time_s is {time[index + 1]:.9g} after {time[index]:.9g}, which is "
-            f"{steps[index] / rest:.3g} times all the rest; is it a wrong stamp? Remove it, or split the file there"
+            f"{where}: {place(index + 1)}: time_s is {time[index + 1]:.9g} after {time[index]:.9g}; this gap is "
+            f"{steps[index] / rest:.3g} times as long as the rest of the recording; if the time stamp is wrong, remove the "
+            "sample, else split the file there"
         )
 
 

@@ -202,7 +202,7 @@ def test_what_is_no_file(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="is neither a file nor a folder"):
             read_run(path)
     os.mkfifo(tmp_path / "pipe.mcap")
-    with pytest.raises(InputError, match=r"is no \.mcap or \.db3 file"):
+    with pytest.raises(InputError, match=r"is not an \.mcap or \.db3 file"):
         read_bag(tmp_path / "pipe.mcap")
 
 

@@ -119,7 +119,7 @@ def test_a_sign_is_turned(import_tool, tmp_path: Path) -> None:
             "--map force: unknown column Kraft; did you mean Kraft [kN]? (known: Time [ms], Weg [mm], Kraft",
         ),
         ("--map load=Kraft", "--map: unknown quantity load (known: time, position, velocity"),
-        ("--map force", "--map: force is no pair, expected QUANTITY=..."),
+        ("--map force", "--map: force is not a pair, expected QUANTITY=..."),
         ("--flip weight", "--flip: unknown quantity weight"),
         ("--flip temperature", "--units or --flip names the temperature, which is not read"),
         ("--rate 0", "--rate is 0, expected a sample rate in Hz"),

@@ -392,7 +392,7 @@ def test_a_number_that_stands_for_a_missing_value_is_refused(
     written("optional.csv")
     run = only(imported("optional.csv --current 0"))
     assert run.temperature is None
-    assert "the temperature is left out: 2 of 600 values are no numbers" in run.info["notes"]
+    assert "the temperature is left out: 2 of 600 values are not numbers" in run.info["notes"]
     rows[70][list(columns).index(channel)] = number
     written("needed.csv")
     error = imported("needed.csv --current 0")

@@ -139,7 +139,7 @@ def test_an_optional_quantity_without_numbers_is_left_out(imported: Any) -> None
     rows = "\n".join(f"{row};nan" for row in lines())
     run = check(imported(f"{HEADER.strip()};Temperature (C)\n{rows}"))
     assert run.temperature is None
-    assert "the temperature is left out: 400 of 400 values are no numbers" in run.info["notes"]
+    assert "the temperature is left out: 400 of 400 values are not numbers" in run.info["notes"]
     named = '--map temperature="Temperature (C)"'
     assert "temperature_C is nan" in imported(f"{HEADER.strip()};Temperature (C)\n{rows}", named)
 

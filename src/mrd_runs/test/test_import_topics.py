@@ -134,7 +134,7 @@ def test_large_messages_of_other_topics_are_not_kept(tmp_path: Path, monkeypatch
             "--topics names no force; expected position (or velocity), force and current",
         ),
         ("time=/coil.data force=/ft.wrench.force.z position=/joint_states.position[rod]", "--topics names a time"),
-        ("position=nonsense force=/ft.wrench.force.z", "nonsense is no number of a topic; expected /TOPIC.FIELD"),
+        ("position=nonsense force=/ft.wrench.force.z", "nonsense is not a number of a topic; expected /TOPIC.FIELD"),
     ],
 )
 def test_what_is_not_there_is_named(import_tool, tmp_path: Path, topics: str, line: str) -> None:

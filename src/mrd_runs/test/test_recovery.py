@@ -312,7 +312,7 @@ def test_sqlite_with_rows_without_end(tmp_path: Path) -> None:
         ("empty.mcap", b"", "empty.mcap is empty"),
         ("head.mcap", b"\x89MCAP0\r\n", "was not closed"),
         ("junk.db3", b"SQLite format 3\0" + b"junk" * 100, "cannot be read as a bag"),
-        ("other.txt", b"text", "is no .mcap or .db3 file"),
+        ("other.txt", b"text", "is not an .mcap or .db3 file"),
     ],
 )
 def test_nothing_to_recover(tmp_path: Path, name: str, content: bytes, message: str) -> None:

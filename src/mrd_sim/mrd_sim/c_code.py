@@ -60,7 +60,7 @@ def c_source(
         code that cannot be translated.
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix):
-        raise InputError(f"prefix {prefix!r} is no C name, expected letters, digits and _")
+        raise InputError(f"prefix {prefix!r} is not a C name, expected letters, digits and _")
     if model.needs_temperature:
         effects = ", ".join(effect.id for effect in model.effects if effect.coefficients is not None)
         raise InputError(f"{effects} needs the temperature, which exported code is not given; export without it")

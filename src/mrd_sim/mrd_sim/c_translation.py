@@ -183,7 +183,7 @@ class _Function:
         lines, self.first = inspect.getsourcelines(python)
         tree = ast.parse(textwrap.dedent("".join(lines))).body[0]
         if not isinstance(tree, ast.FunctionDef):
-            raise InputError(f"{self.module}: {python.__name__} is no function, which has no translation to C")
+            raise InputError(f"{self.module}: {python.__name__} is not a function, which has no translation to C")
         self.tree = tree
         nodes = sorted(ast.walk(tree), key=lambda node: (getattr(node, "lineno", 0), getattr(node, "col_offset", 0)))
         self.parameters = {arg.arg: kinds[index] if kinds else self._c_type(arg) for index, arg in enumerate(tree.args.args)}
@@ -473,7 +473,7 @@ class _Function:
                 return self._expression(value)
             case ast.Attribute(value=ast.Name(id=name), attr=field) if name in self.rows:
                 if field not in self.unit.columns:
-                    raise self._refuse(node, f"{name}.{field}, which is no coefficient of the model,")
+                    raise self._refuse(node, f"{name}.{field}, which is not a coefficient of the model,")
                 return f"{_c(name)}[{self.unit.columns[field]}]", 9
             case ast.Attribute(value=ast.Name(id=name), attr=field) if field in self.vectors.get(name, ()):
                 return f"{_c(name)}.{_c(field)}", 9

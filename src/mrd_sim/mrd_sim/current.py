@@ -61,7 +61,7 @@ def parse_laws(text: str, where: str) -> str | dict[str, str]:
         return text.strip()
     parts = [part.partition("=") for part in text.split(",")]
     if not all(name.strip() and law.strip() for name, _, law in parts):
-        raise InputError(f"{where}: {text} is no current law, expected LAW or COEFFICIENT=LAW,... of {', '.join(LAWS)}")
+        raise InputError(f"{where}: {text} is not a current law, expected LAW or COEFFICIENT=LAW,... of {', '.join(LAWS)}")
     return {name.strip(): law.strip() for name, _, law in parts}
 
 

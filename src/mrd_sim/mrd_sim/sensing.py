@@ -320,7 +320,7 @@ class MeasuringChain:
         """Return the volts (sensors, n) that the converter reads over a block of SI values (sensors, n * decimation)."""
         driven = np.stack([sensor.volts(row) for sensor, row in zip(self.sensors, values, strict=True)])
         if driven.shape[1] % self._decimation:
-            raise ValueError(f"{driven.shape[1]} values are no multiple of {self._decimation}")
+            raise ValueError(f"{driven.shape[1]} values are not a multiple of {self._decimation}")
         if self._lag is None:  # before the first value the input had that value
             self._lag = np.stack([driven[:, 0], driven[:, 0]])
         # Drawn sample by sample, so that the cut into blocks does not change which number meets which sample.

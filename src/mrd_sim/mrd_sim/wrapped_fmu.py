@@ -87,7 +87,7 @@ def wrapped_simulator(
         simulator = simulator.simulator
     if not isinstance(simulator, ProcessSimulator) or "standard" not in simulator.facts:
         raise InputError(
-            f"--simulator: {simulator.name} is no FMU, and only an FMU can be put into one; take a block instead"
+            f"--simulator: {simulator.name} is not an FMU, and only an FMU can be put into one; take a block instead"
         )
     content = _wrapped(simulator.file, simulator.facts, model, values, plain, settings)
     return WrappedFmu(content, simulator.facts["standard"], _notes(simulator, model, settings))

@@ -51,7 +51,7 @@ def refusal(file, tmp_path, monkeypatch, **options):
             [('<Real start="0" unit="A"/>', "<Integer/>")],
             "the input current is none of time, position, velocity, acceleration, current by its name, and has no start",
         ),
-        ([("</ModelVariables>", "")], "is no FMU that can be read (mismatched tag"),
+        ([("</ModelVariables>", "")], "is not an FMU that can be read (mismatched tag"),
     ],
 )
 def test_its_description(tmp_path, monkeypatch, changes, message):
@@ -91,7 +91,7 @@ def test_its_archive(tmp_path, monkeypatch):
     whole = tiny_fmu(tmp_path / "tiny.fmu").read_bytes()
     damaged = tmp_path / "damaged.fmu"
     damaged.write_bytes(whole[: len(whole) // 2])
-    assert "is no FMU that can be read (File is not a zip file)" in refusal(damaged, tmp_path, monkeypatch)
+    assert "is not an FMU that can be read (File is not a zip file)" in refusal(damaged, tmp_path, monkeypatch)
     spoilt = tmp_path / "spoilt.fmu"
     place = whole.index(b"\x7fELF") + 2000
     spoilt.write_bytes(whole[:place] + b"spoilt" + whole[place + 6 :])

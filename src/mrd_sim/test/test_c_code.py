@@ -288,7 +288,7 @@ def test_wrong_values_and_prefixes_are_refused():
     model = find_model("bouc_wen")
     with pytest.raises(InputError, match=r"yield_force is -5 N, expected 0 to 2\.5e\+06"):
         c_source(model, {"yield_force": -5.0})
-    with pytest.raises(InputError, match="prefix '2b' is no C name"):
+    with pytest.raises(InputError, match="prefix '2b' is not a C name"):
         c_source(model, {}, prefix="2b")
 
 

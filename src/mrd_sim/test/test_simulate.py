@@ -174,7 +174,8 @@ def test_effects_are_chosen_by_text():
     assert parse_effect("joint_play.play=3e-4") == ("joint_play", "play", 3e-4)
     for text in ("joint_play=1", "joint_play.play", "joint_play.play=wide"):
         with pytest.raises(
-            InputError, match=r"--effect: joint_play.* is no parameter of an effect with its value, expected EFFECT\.PARAM"
+            InputError,
+            match=r"--effect: joint_play.* is not a parameter of an effect with its value, expected EFFECT\.PARAM",
         ):
             parse_effect(text)
     with pytest.raises(InputError, match="unknown effect ghost"):
@@ -255,7 +256,7 @@ def test_current_laws_are_chosen_by_text():
     assert parse_laws("tanh", "--law") == "tanh"
     assert parse_laws("", "--law") == ""
     assert parse_laws("yield_force=tanh, viscous = quadratic", "--law") == {"yield_force": "tanh", "viscous": "quadratic"}
-    with pytest.raises(InputError, match=r"yield_force=,viscous=tanh is no current law, expected LAW or COEFF"):
+    with pytest.raises(InputError, match=r"yield_force=,viscous=tanh is not a current law, expected LAW or COEFF"):
         parse_laws("yield_force=,viscous=tanh", "--law")
     with pytest.raises(InputError, match="no current law for exponent"):
         Damper("bouc_wen", laws={"exponent": "tanh"})

@@ -329,7 +329,7 @@ def changed_fmu(file, folder, *changes, remove=""):
     [
         ([('fmiVersion="2.0"', 'fmiVersion="1.0"')], "", "is of FMI 1.0, expected 2.0 or 3.0"),
         ([], "binaries", "has binaries for no platform, expected"),
-        ([], "modelDescription.xml", "is no FMU that can be read"),
+        ([], "modelDescription.xml", "is not an FMU that can be read"),
         (
             [('unit="m/s"', 'unit="rad/s"'), ('name="m/s"', 'name="rad/s"')],
             "",
@@ -474,7 +474,7 @@ def test_a_command_ends_with_the_bench(tmp_path):
 def test_what_is_no_simulator_is_refused(tmp_path, own_fmu):
     (tmp_path / "text.fmu").write_text("no archive")
     for sources, options, message in [
-        (tmp_path / "text.fmu", {}, "is no FMU that can be read"),
+        (tmp_path / "text.fmu", {}, "is not an FMU that can be read"),
         (tmp_path / "none.fmu", {}, "no such file"),
         ([], {}, "no simulator"),
         ([own_fmu, own_fmu], {}, "expected one FMU, one Python file or one command"),

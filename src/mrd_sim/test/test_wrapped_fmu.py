@@ -247,7 +247,7 @@ def test_only_an_fmu_can_be_carried(tmp_path):
     (tmp_path / "mine.py").write_text("def force(velocity): return 900.0 * velocity")
     with (
         open_simulator(tmp_path / "mine.py") as simulator,
-        pytest.raises(InputError, match=r"--simulator: mine\.py is no FMU, and only an FMU can be put into one"),
+        pytest.raises(InputError, match=r"--simulator: mine\.py is not an FMU, and only an FMU can be put into one"),
     ):
         wrapped_simulator(simulator, find_model("bouc_wen"), PLAIN, PLAIN)
 

@@ -101,7 +101,7 @@ class Explanation:
     effects : tuple of str
     probability : float
     closed_fraction : tuple of three floats
-        Share of the explainable gap that the effects close on held-out runs.
+        Share of the gap that the effects close on held-out runs.
     sizes : mapping
         Value and interval of each parameter, by EFFECT.PARAMETER.
     indistinguishable : tuple of str

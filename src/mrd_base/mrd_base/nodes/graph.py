@@ -124,7 +124,7 @@ LEASE = Topic(
     "lease",
     Lease,
     COMMAND,
-    "leave to move rod and coil, every 40 ms; no setpoint is followed without its number",
+    "permission to move the rod and to drive the coil, renewed every 40 ms; no setpoint is followed without its number",
     publishers=("supervisor",),
     subscribers=("servo", "daq", "generator", "controller", "recorder", "supervisor", "page"),
 )
@@ -269,7 +269,7 @@ DIAGNOSTICS = Topic(
     "/diagnostics",
     DiagnosticArray,
     COMMAND,
-    "health of each node, 1 Hz of the wall's clock",
+    "health of each node, at 1 Hz of wall-clock time",
     publishers=(
         *(
             "servo",

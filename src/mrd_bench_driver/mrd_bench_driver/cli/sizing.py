@@ -1,4 +1,8 @@
-"""``ros2 run mrd_bench_driver sizing``: evaluate the paper's Eqs 4–8 for its drive or another one."""
+"""Check whether a drive is strong and fast enough for a damper.
+
+The equations are Eqs 4–8 of the paper that this bench follows, "Characterization and Testing Bench Design for
+Magnetorheological Dampers". The defaults are its drive, and the table shows its figures beside those computed here.
+"""
 
 import argparse
 
@@ -29,7 +33,7 @@ _OPTIONS = {
 
 
 def _work() -> None:
-    parser = argparse.ArgumentParser(prog="sizing", description=__doc__.split(": ", 1)[1], allow_abbrev=False)
+    parser = argparse.ArgumentParser(prog="sizing", description=__doc__, allow_abbrev=False)
     default = Sizing()
     for option, (field, factor, meaning) in _OPTIONS.items():
         value = getattr(default, field) * factor
@@ -50,5 +54,5 @@ def _work() -> None:
 
 
 def main() -> None:
-    """Run the tool."""
+    """Entry point of ``ros2 run mrd_bench_driver sizing``."""
     run_tool(_work)

@@ -424,7 +424,10 @@ class ServoController:
                 self._activity = Activity.NOTHING
                 self._rod.set_command(None)
             else:
-                self._fail("setpoints stopped while the rod moved; check the generator")
+                self._fail(
+                    "setpoints stopped while the rod moved; check the node that sends them (generator, or controller in a "
+                    "hybrid test)"
+                )
         if now >= self.position_due:
             self._fail(
                 f"no valid position from the motor for {1e3 * (now - self._rod.time):.0f} ms of motion; check the line"

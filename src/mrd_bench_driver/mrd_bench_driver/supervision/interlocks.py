@@ -208,7 +208,7 @@ def _unreadable_temperature(now: Snapshot, tolerances: Tolerances) -> str:
     found = "is at the end of its range" if math.isnan(celsius) else f"reads {celsius:.0f} degC, which no damper has"
     return (
         f"the damper's thermometer {found}, so that the limit of {tolerances.temperature_max:g} degC cannot be watched; "
-        "check the sensor, its amplifier and wiring"
+        'check the sensor, its amplifier and wiring; if there is none, set channels.temperature.input: ""'
     )
 
 

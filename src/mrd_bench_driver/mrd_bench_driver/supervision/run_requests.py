@@ -98,7 +98,7 @@ def require_new(request: RunRequest) -> None:
     if exists:
         raise RefusedError(f"{request.bag}: exists already and is not overwritten; give another folder")
     if not folder.is_dir():
-        raise RefusedError(f"{request.bag}: cannot be made, because {folder} is no folder; give another folder")
+        raise RefusedError(f"{request.bag}: cannot be made, because {folder} is not a folder; give another folder")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise RefusedError(f"{request.bag}: cannot be made, because {folder} cannot be written to; give another folder")
 

@@ -361,7 +361,7 @@ class Supervisor:
         self._require_no_procedure()
         self.mode.require_idle()
         if self.stopped_since(stops):
-            raise RefusedError("somebody stopped the bench before this run; look why, then ask for the run again")
+            raise RefusedError("somebody stopped the bench before this run; find out why, then ask for the run again")
 
     def _require_no_procedure(self) -> None:
         if self.procedure:

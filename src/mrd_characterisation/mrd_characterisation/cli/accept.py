@@ -15,6 +15,7 @@ from mrd_characterisation.cli.options import add_serial, add_test_arguments, err
 from mrd_characterisation.reference import read_reference
 from mrd_characterisation.units import UNITS, View
 from mrd_runs import read_runs
+from mrd_runs.read import RUN_HELP
 
 NOT_PASSED = 1
 """Exit status where the damper fails or is not decided."""
@@ -67,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
         "within the limits. Writes acceptance.json. The exit status is "
         f"{NOT_PASSED} where a number fails, is not decided or was not measured."
     )
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV; all of one damper")
+    parser.add_argument("runs", nargs="+", metavar="RUN", help=f"{RUN_HELP}; all of one damper")
     parser.add_argument(
         "--reference",
         nargs="+",

@@ -17,7 +17,7 @@ from mrd_characterisation.damper_test import checked_serial
 from mrd_characterisation.listing import HEAD, value_row
 from mrd_characterisation.page import HEADLINES, force_table, write_page
 from mrd_characterisation.units import ORIENTATIONS, UNITS, View
-from mrd_runs.read import describe_runs, read_groups
+from mrd_runs.read import RUN_HELP, describe_runs, read_groups
 
 PRINTED = (*HEADLINES, "response_time_63", "response_time_95", "dynamic_range")
 """Quantities of the printed table; all values are in the files."""
@@ -60,7 +60,7 @@ def _parse_arguments() -> argparse.Namespace:
         "drag. "
         "Writes characterisation.html, .json, .csv and .xlsx."
     )
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV; all of one damper")
+    parser.add_argument("runs", nargs="+", metavar="RUN", help=f"{RUN_HELP}; all of one damper")
     parser.add_argument(
         "--compare",
         action="append",

@@ -68,7 +68,7 @@ def write_asked_sheet(
     for text in arguments.field:
         name, equals, value = text.partition("=")
         if not (equals and name.strip()):
-            raise InputError(f"--field: {text} is no name with its text, expected NAME=TEXT")
+            raise InputError(f"--field: {text} is not a name with its text, expected NAME=TEXT")
         fields[name.strip()] = value.strip()
     sheet = make_sheet(characterisations, test, acceptance, view=view, fields=fields, logo=arguments.logo)
     return write_sheet(sheet, folder, paper=arguments.paper, template=arguments.template)

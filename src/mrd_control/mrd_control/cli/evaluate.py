@@ -179,7 +179,7 @@ def _parser() -> argparse.ArgumentParser:
         help=f"control laws with their gains: {', '.join(LAWS)} (default: all)",
     )
     parser.add_argument("--roads", metavar="CLASS,...", help="classes of ISO 8608, A to H (default: B,C)")
-    parser.add_argument("--speed", type=float, default=20.0, help="on these roads, m/s (default %(default)g)")
+    parser.add_argument("--speed", type=float, default=20.0, help="speed on these roads in m/s (default %(default)g)")
     parser.add_argument(
         "--excitation",
         action="append",
@@ -187,13 +187,17 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE.yaml",
         help="road, bump, sine_sweep, ground_motion or recorded_profile with its parameters; may be repeated",
     )
-    parser.add_argument("--duration", type=float, default=60.0, help="s of each run (default %(default)g)")
-    parser.add_argument("--rate", type=float, default=1000.0, help="Hz (default %(default)g)")
-    parser.add_argument("--most-current", type=float, default=1.0, help="of the supply, A (default %(default)g)")
-    parser.add_argument("--delay", type=float, metavar="MS", help="hybrid test: dead time of the actuator")
-    parser.add_argument("--lag", type=float, default=0.0, metavar="MS", help="and its first-order lag (default %(default)g)")
+    parser.add_argument("--duration", type=float, default=60.0, help="duration of each run in s (default %(default)g)")
+    parser.add_argument("--rate", type=float, default=1000.0, help="sample rate in Hz (default %(default)g)")
     parser.add_argument(
-        "--predictor", choices=list(PREDICTORS), default="none", help="and its compensation (default %(default)s)"
+        "--most-current", type=float, default=1.0, help="largest current of the supply in A (default %(default)g)"
+    )
+    parser.add_argument("--delay", type=float, metavar="MS", help="dead time of the actuator of a hybrid test")
+    parser.add_argument(
+        "--lag", type=float, default=0.0, metavar="MS", help="first-order lag of this actuator (default %(default)g)"
+    )
+    parser.add_argument(
+        "--predictor", choices=list(PREDICTORS), default="none", help="compensation of delay and lag (default %(default)s)"
     )
     parser.add_argument(
         "--pareto",
@@ -202,9 +206,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="LAW",
         help="search the gains of laws for comfort against contact force, anew on each road with each damper",
     )
-    parser.add_argument("--population", type=int, default=24, help="of NSGA-II (default %(default)s)")
-    parser.add_argument("--generations", type=int, default=12, help="of NSGA-II (default %(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="of roads and search (default %(default)s)")
+    parser.add_argument("--population", type=int, default=24, help="population of NSGA-II (default %(default)s)")
+    parser.add_argument("--generations", type=int, default=12, help="generations of NSGA-II (default %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of roads and search (default %(default)s)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run the loops on the dask cluster of this scheduler")
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for the results")
     return parser

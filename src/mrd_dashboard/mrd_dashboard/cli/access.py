@@ -1,4 +1,4 @@
-"""Write the password, or a token, that lets into the operator's page."""
+"""Write the password or a token that gives access to the operator's page."""
 
 import argparse
 import getpass

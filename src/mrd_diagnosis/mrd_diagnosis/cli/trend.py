@@ -18,7 +18,7 @@ from mrd_identification.cli.options import announce
 from mrd_identification.correction import correction_of_report
 from mrd_identification.fit_file import StoredFit, read_fit
 from mrd_runs import Run, read_runs
-from mrd_runs.read import describe_runs
+from mrd_runs.read import RUN_HELP, describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
@@ -67,7 +67,7 @@ def _parse_arguments() -> argparse.Namespace:
         description="Follow a parameter over dated runs: find its trend and a change point, and predict when it reaches a "
         "limit. Without a parameter, first find the effect that explains what has changed. Writes trend.json, trend.html."
     )
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV file")
+    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN_HELP)
     parser.add_argument("--model", help=f"one of {', '.join(MODELS)}; default: the model of --report or --parameters")
     followed = parser.add_mutually_exclusive_group()
     followed.add_argument(

@@ -12,7 +12,7 @@ from mrd_identification.export import corrected_simulator, load_damper, source_o
 from mrd_identification.fit_file import fitted_sources
 from mrd_identification.low_pass import with_force_filters
 from mrd_runs import Run, read_runs
-from mrd_runs.read import describe_runs
+from mrd_runs.read import RUN_HELP, describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator, take_from_source
 from mrd_sim.simulators.command import COMMAND
@@ -39,7 +39,7 @@ def work() -> None:
         help="file of identify, diagnose or apply; or a simulator of your own: an FMU, a Python file, a command after "
         f"'{COMMAND}'",
     )
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV")
+    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN_HELP)
     parser.add_argument("--offsets", action="store_true", help="take out a force offset of each run")
     parser.add_argument("--gains", action="store_true", help="take out a gain error of the force of each run")
     parser.add_argument("--limit", type=float, metavar="PERCENT", help="largest error (NRMSE) that passes")

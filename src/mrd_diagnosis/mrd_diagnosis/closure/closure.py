@@ -39,7 +39,7 @@ class Closure:
     ----------
     noise_floor, before, after : Interval
     closed_fraction : Interval
-        Share of the explainable gap; nan without effects.
+        Share of the gap; nan without effects.
     extrapolated : Interval or None
         The same on the runs that exceed the others, each predicted from the others only.
     residuals : tuple of RunResidual
@@ -123,7 +123,7 @@ def compute_closure(
 
 
 def closed_fraction_between(before: Refit, after: Refit, comparison: ModelComparison, rng: np.random.Generator) -> Interval:
-    """Return the share of the explainable gap between two refits, on folds that are held out in turn; in those from before a
+    """Return the share of the gap between two refits, on folds that are held out in turn; in those from before a
     change, there is none.
     """
     recordings = comparison.weighting.recordings

@@ -167,7 +167,7 @@ def nrmse_interval(squares: Array, samples: Array, variance: float, draws: Array
 
 
 def closed_fraction(before: Array, after: Array, noise: Array, draws: Array) -> Interval:
-    """Return the share of the explainable gap that is closed, from squared errors in N² (units,) and those of the noise."""
+    """Return the share of the gap that is closed, from squared errors in N² (units,) and those of the noise."""
 
     def share(b: Array, a: Array, n: Array) -> Array:
         gap = b - n

@@ -67,7 +67,7 @@ class RecordingClient:
             raise BenchError(f"no supervisor was heard within {HEARD_TIMEOUT:g} s; start the bench, or look at its log")
         state = self._state
         if state.mode == BenchState.FAULT:
-            raise BenchError(f"the bench is in mode fault ({state.message}); look why, then call reset_fault")
+            raise BenchError(f"the bench is in mode fault ({state.message}); find out why, then call reset_fault")
         if state.mode != BenchState.IDLE:
             raise BenchError(f"the bench is busy ({state.message}); wait for the end of the run, or call stop")
         return int(state.stops)

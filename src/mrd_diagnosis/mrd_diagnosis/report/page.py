@@ -94,8 +94,7 @@ _NOISE_SOURCES = {
 }
 _SEVERITIES = ("fault", "limitation", "remark")
 GLOSSARY = {
-    "gap": "The part of the model's error that noise does not explain, after all parameters of the model were refitted. It "
-    "is also called the explainable gap.",
+    "gap": "The part of the model's error that noise does not explain, after all parameters of the model were refitted.",
     "NRMSE": "Normalised root-mean-square error: the rms of measured minus modelled force, divided by the standard "
     "deviation of the measured force. 0 % is a perfect model, 100 % is as bad as a constant force.",
     "noise": "The error that a perfect model would still have: noise of the force sensor, and errors of the measured motion "
@@ -114,7 +113,7 @@ GLOSSARY = {
     "partly explained, the effects are compared around several damper models, and the probability is the share of cases in "
     "which evidence like that was right for dampers whose effects were known.",
     "95 % interval": "The range, here in brackets or after ±, that contains the true value in 95 of 100 cases if "
-    "the formula of the effect is exact. In blind trials with other formulas, it did in 9 of 14.",
+    "the formula of the effect is exact. With other formulas, it contains the true value less often (docs/trials.md).",
     "p-value": "The probability that noise alone improves the fit to the same data so much. An effect can improve the fit "
     "and still predict held-out data worse.",
 }

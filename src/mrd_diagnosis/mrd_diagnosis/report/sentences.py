@@ -142,7 +142,7 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     text = f"{capitalised(_clauses(certain))}. Beyond that, {whether}" if certain else capitalised(whether)
     if math.isfinite(gap.closed_fraction.value):
         share = format_share(gap.closed_fraction.value)
-        text += f" The most likely explanation removes {share} of the {_gap_name(diagnosis, 'explainable gap')}."
+        text += f" The most likely explanation removes {share} of the {_gap_name(diagnosis)}."
     return text
 
 
@@ -167,7 +167,7 @@ def _seen_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     sentences += [f"{capitalised(effect_name(entry.effect))} is not named as a cause: {entry.why}." for entry in seen]
     if math.isfinite(gap.closed_fraction.value):
         share = format_share(gap.closed_fraction.value)
-        sentences.append(f"It would remove {share} of the {_gap_name(diagnosis, 'explainable gap')}.")
+        sentences.append(f"It would remove {share} of the {_gap_name(diagnosis)}.")
     likely = [f"{effect_name(other.effect)} ({format_probability(other.probability)})" for other in diagnosis.alternatives]
     if likely:
         sentences.append(f"In its place, the cause may be {join_words(likely, 'or')}.")
@@ -537,8 +537,8 @@ def _removal(diagnosis: Diagnosis, gap: Gap) -> str:
     if [cause.level for cause in diagnosis.causes] == ["class"]:
         adding = effect_name(diagnosis.causes[0].effect)
     share = format_share(gap.closed_fraction.value)
-    return f" Adding {adding} removes {share} of the {_gap_name(diagnosis, 'explainable gap')}."
+    return f" Adding {adding} removes {share} of the {_gap_name(diagnosis)}."
 
 
-def _gap_name(diagnosis: Diagnosis, name: str = "gap") -> str:
-    return "change" if diagnosis.reference else name
+def _gap_name(diagnosis: Diagnosis) -> str:
+    return "change" if diagnosis.reference else "gap"

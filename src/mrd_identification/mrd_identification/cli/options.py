@@ -15,7 +15,7 @@ from mrd_identification.problem import Loss
 from mrd_identification.recording import Weights
 from mrd_runs import Run, read_runs
 from mrd_runs.faults import find_faults
-from mrd_runs.read import read_groups, unique_name
+from mrd_runs.read import RUN_HELP, read_groups, unique_name
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.current import LAWS
 from mrd_sim.models import DamperModel
@@ -28,7 +28,7 @@ MOST_FINDINGS = 5
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the runs to fit and the held-out runs."""
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV")
+    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN_HELP)
     parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs not fitted, for the prediction error")
     parser.add_argument(
         "--characterisation",
@@ -93,8 +93,12 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
         default=_DEFAULT.loss,
         help="loss function of the residuals: linear, or one that is robust against outliers (default %(default)s)",
     )
-    parser.add_argument("--population", type=int, default=_DEFAULT.population, help="of NSGA-II (default %(default)s)")
-    parser.add_argument("--generations", type=int, default=_DEFAULT.generations, help="of NSGA-II (default %(default)s)")
+    parser.add_argument(
+        "--population", type=int, default=_DEFAULT.population, help="population of NSGA-II (default %(default)s)"
+    )
+    parser.add_argument(
+        "--generations", type=int, default=_DEFAULT.generations, help="generations of NSGA-II (default %(default)s)"
+    )
     parser.add_argument("--seed", type=int, default=_DEFAULT.seed, help="same seed, same result (default %(default)s)")
     parser.add_argument(
         "--seeds",

@@ -73,7 +73,7 @@ def check_repeats(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
                 text = (
                     f"this run names the experiment of {first.run.name} but moves differently: the correlation of the "
                     f"positions is {correlation:.3f}, expected {SAME_MOTION:g}, and the strokes are {milli(second.stroke)} "
-                    f"and {milli(first.stroke)} mm. It is no repeat. Check the servo."
+                    f"and {milli(first.stroke)} mm. It is not a repeat. Check the servo."
                 )
                 yield second.finding("repeat", "limitation", "position", text)
             continue
@@ -83,7 +83,8 @@ def check_repeats(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
         elif same_experiment:
             text = (
                 f"this run names the experiment of {first.run.name} and moves like it but has another current: the "
-                f"difference is {difference:.2g} A rms, expected noise only. It is no repeat. Check the supply of the coil."
+                f"difference is {difference:.2g} A rms, expected noise only. It is not a repeat. Check the supply of the "
+                "coil."
             )
             yield second.finding("repeat", "limitation", "current", text)
 

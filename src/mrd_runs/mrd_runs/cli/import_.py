@@ -117,7 +117,7 @@ def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     for text in texts:
         quantity, sign, value = text.partition("=")
         if not (sign and value):
-            raise InputError(f"{option}: {text} is no pair, expected QUANTITY=... with one of {', '.join(COLUMNS)}")
+            raise InputError(f"{option}: {text} is not a pair, expected QUANTITY=... with one of {', '.join(COLUMNS)}")
         if check_quantity(quantity, option) in pairs:
             raise InputError(f"{option}: {quantity} is given twice, expected once")
         pairs[quantity] = value

@@ -8,12 +8,13 @@ from rich.text import Text
 from mrd_base import run_tool
 from mrd_base.console import print_table
 from mrd_runs import read_runs
+from mrd_runs.read import RUN_HELP
 from mrd_runs.summary import summarise
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap, .db3 or CSV file")
+    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN_HELP)
     arguments = parser.parse_args()
     run_tool(lambda: _show(arguments.runs))
 

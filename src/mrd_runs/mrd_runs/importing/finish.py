@@ -123,7 +123,7 @@ def finish(
     for quantity in unneeded & set(columns):
         if absent_values := int(np.count_nonzero(~np.isfinite(columns[quantity]))):
             del columns[quantity]
-            notes.append(f"the {quantity} is left out: {absent_values} of {len(series[quantity])} values are no numbers")
+            notes.append(f"the {quantity} is left out: {absent_values} of {len(series[quantity])} values are not numbers")
         elif problem := _unneeded_problem(quantity, columns):
             del columns[quantity]
             notes.append(f"the {quantity} is left out: {problem}")

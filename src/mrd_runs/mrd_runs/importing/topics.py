@@ -74,7 +74,9 @@ def parse_address(text: str, option: str) -> Address:
     """Parse ``/topic.field`` or ``/topic.field[index]``; raise InputError for another text."""
     match = _ADDRESS.fullmatch(text)
     if match is None:
-        raise InputError(f"{option}: {text} is no number of a topic; expected /TOPIC.FIELD or /TOPIC.FIELD[INDEX OR NAME]")
+        raise InputError(
+            f"{option}: {text} is not a number of a topic; expected /TOPIC.FIELD or /TOPIC.FIELD[INDEX OR NAME]"
+        )
     return Address(match["topic"], match["field"], match["index"] or "")
 
 

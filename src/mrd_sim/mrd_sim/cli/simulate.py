@@ -164,7 +164,7 @@ def parse_effect(text: str) -> tuple[str, str, float]:
         return effect.strip(), parameter.strip(), float(value)
     except ValueError:
         raise InputError(
-            f"--effect: {text} is no parameter of an effect with its value, expected EFFECT.PARAMETER=VALUE"
+            f"--effect: {text} is not a parameter of an effect with its value, expected EFFECT.PARAMETER=VALUE"
             f"{_example(effect)}"
         ) from None
 

@@ -23,7 +23,8 @@ MODEL = DamperModel(
     id="linear_viscous",
     title="Linear viscous",
     equation="F = c x' + f0",
-    source="equivalent viscous damping; first row of the table of models in the followed paper, its dashpot set apart",
+    source="equivalent viscous damping; first row of the table of models in the paper that this bench follows, "
+    "Characterization and Testing Bench Design for Magnetorheological Dampers, its dashpot set apart",
     coefficients=COEFFICIENTS,
     kernel=_force,
 )

@@ -52,7 +52,7 @@ class FmuRunner:
             if version in VERSIONS:
                 self.description = fmpy.read_model_description(str(file), validate=False)
         except Exception as error:
-            raise InputError(f"is no FMU that can be read ({_one_line(error)})") from None
+            raise InputError(f"is not an FMU that can be read ({_one_line(error)})") from None
         if version not in VERSIONS:
             raise InputError(f"is of FMI {version}, expected {' or '.join(VERSIONS)}")
         if self.description.coSimulation is None:

@@ -37,7 +37,7 @@ class PythonRunner:
     def __init__(self, file: Path, _options: Mapping[str, Any]) -> None:
         specification = importlib.util.spec_from_file_location("simulator", file)
         if specification is None or specification.loader is None:
-            raise InputError("is no Python file, expected a name that ends in .py")
+            raise InputError("is not a Python file, expected a name that ends in .py")
         module = importlib.util.module_from_spec(specification)
         # Dataclasses and pickling look a module up by its name.
         sys.modules[specification.name] = module
