@@ -177,17 +177,15 @@ def test_what_the_readme_does_by_hand_without_a_bench_is_done(tmp_path):
     (tmp_path / "config").symlink_to(ROOT / "config")
     section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## By hand")[2].partition("\n## ")[0]
     lines = re.findall(r"^    (ros2 run .*)$", section, re.MULTILINE)
-    by_hand = [
-        line for line in lines if not line.startswith(("ros2 run mrd_bench_driver", "ros2 run mrd_trajectory generator"))
-    ]
+    by_hand = [line for line in lines if not line.startswith("ros2 run mrd_bench_driver")]
     assert len(by_hand) >= 7
     runs = tmp_path / "runs"
     recordings = sorted((ROOT / "examples/worn_joint").glob("*.csv"))
-    importing = ["ros2", "run", "mrd_runs", "import", *map(str, recordings), "--output", str(runs / "characterise-1")]
+    importing = ["ros2", "run", "mrd_runs", "import", *map(str, recordings), "--output", str(runs / "standard_set")]
     subprocess.run(importing, check=True, capture_output=True)
     for number, recording in enumerate(recordings, 1):
-        (runs / "characterise-1" / recording.stem).rename(runs / "characterise-1" / f"{number:02}_{recording.stem[2:]}")
-    shutil.copytree(runs / "characterise-1" / "01_multisine", runs / "paper" / "bag")
+        (runs / "standard_set" / recording.stem).rename(runs / "standard_set" / f"{number:02}_{recording.stem[2:]}")
+    shutil.copytree(runs / "standard_set" / "01_multisine", runs / "paper" / "bag")
     for command in by_hand:
         done = subprocess.run(["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, timeout=600)
         assert done.returncode == 0, f"{command}\n{done.stderr}"
