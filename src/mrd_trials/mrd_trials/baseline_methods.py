@@ -20,35 +20,9 @@ Array = NDArray[np.float64]
 EVALUATIONS, TOLERANCE = 40, 1e-6
 """Most evaluations of a model in a refit, and the relative decrease of the cost at which it is finished."""
 
-EQUIVALENT = 0.9
-"""Share of the decrease of the squared error by a cause from which another effect is an equivalent answer on these runs."""
-
 SMALLEST_SIZE, LARGEST_SIZE = 0.03, 3.0
 """Size, in multiples of the typical one, from which a refit begins: without the effect its shape has no influence, and far
 beyond the typical size first order says little."""
-
-
-@dataclass(frozen=True)
-class BaselineResult:
-    """Results of the baseline methods for the recordings of a plant.
-
-    Attributes
-    ----------
-    rankings : mapping
-        Effects from the best on, by method; "" stands where the method prefers no effect to those after it.
-    decreases : mapping
-        By how much each effect, refitted, lowers the sum of squared errors, in N².
-    """
-
-    rankings: Mapping[str, tuple[str, ...]]
-    decreases: Mapping[str, float]
-
-    def equivalents(self, cause: str) -> tuple[str, ...]:
-        """Return the effects that lower the error nearly as much as a cause does, the cause among them."""
-        decrease = self.decreases.get(cause, 0.0)
-        if not decrease > 0.0:
-            return (cause,)
-        return tuple(name for name, other in self.decreases.items() if name == cause or other >= EQUIVALENT * decrease)
 
 
 @dataclass(frozen=True)
@@ -91,8 +65,9 @@ class BaselineScore:
     parameters: int
 
 
-def run_baseline_methods(runs: Sequence[Run], model_id: str, seed: int = 0) -> BaselineResult:
+def run_baseline_methods(runs: Sequence[Run], model_id: str, seed: int = 0) -> dict[str, tuple[str, ...]]:
     """Fit the model without and with every effect of the catalogue, and rank the effects by five methods.
+
 
     ``correlation``, ``score`` and ``in_sample`` are the first three fields of `BaselineScore`. ``bic`` is the Bayesian
     information criterion of the refits, as if all samples were independent. ``random`` is a random order.
@@ -103,6 +78,11 @@ def run_baseline_methods(runs: Sequence[Run], model_id: str, seed: int = 0) -> B
         In the order in which they were recorded.
     model_id : str
     seed : int
+
+    Returns
+    -------
+    dict
+        Effects from the best on, by method; "" stands where the method prefers no effect to those after it.
     """
     rng = np.random.default_rng(seed)
     problem, theta = fit_model(model_id, in_threads(prepare_recording, runs), rng)
@@ -118,14 +98,13 @@ def run_baseline_methods(runs: Sequence[Run], model_id: str, seed: int = 0) -> B
     bic = {
         name: samples * np.log(fit.squared_error / total) + fit.parameters * np.log(samples) for name, fit in fits.items()
     }
-    rankings = {
+    return {
         "correlation": _ascending({name: -fit.correlation for name, fit in fits.items()}),
         "score": _ascending({name: -fit.promise for name, fit in fits.items()}),
         "in_sample": _ascending({name: fit.squared_error for name, fit in fits.items()} | {"": total}),
         "bic": _ascending(bic | {"": 0.0}),
         "random": tuple(map(str, rng.permutation(sorted(names)))),
     }
-    return BaselineResult(rankings, {name: total - fit.squared_error for name, fit in fits.items()})
 
 
 def _fit_effect(alone: ScatterFreeProblem, theta: Array, nuisance: Array, effect: Effect) -> BaselineScore:

@@ -211,16 +211,18 @@ class Evaluation:
     Attributes
     ----------
     plant : str
+    submission : str
+        SHA-256 of what was evaluated: the submission, and that on the same recordings without the effects.
     oracle_closure : float
-        Share of the gap that a diagnosis with only the true causes as candidates closes; nan where the catalogue lacks one.
-        Of effects put into recordings: the share of the squared error that refitting without them would close.
+        Share of the gap that a diagnosis with only the true causes as candidates closes; nan where it names none of them. Of
+        effects put into recordings: 1.
+    closure : float
+        Share of the gap that the submitted parameters close on the same runs, 0 without causes. Of effects put into
+        recordings: the share of the squared error that they added, on fresh runs, beyond what is closed without them.
     true_map : tuple of GapBin
         Shares of the true gap on the axes and bins of the submission.
     fresh_closure : float
-        Share of the gap that the submitted parameters close on runs that the diagnosis was not given; nan without causes. Of
-        an effect put into recordings: the share of the squared error that it added, beyond what is closed without it.
-    equivalents : mapping
-        By cause: effects that, refitted in its place, lower the error nearly as much; the cause is among them.
+        Share of the gap that they close on runs that the diagnosis was not given, 0 without causes.
     rankings : mapping
         Effects in the order of each baseline method, best first; ``bic`` and ``in_sample`` hold "" where they prefer no
         effect. Empty where the methods were not run.
@@ -230,10 +232,11 @@ class Evaluation:
     """
 
     plant: str
+    submission: str = ""
     oracle_closure: float = NAN
+    closure: float = NAN
     true_map: tuple[GapBin, ...] = ()
     fresh_closure: float = NAN
-    equivalents: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     rankings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     advised_resolves: bool | None = None
     random_resolves: bool | None = None
@@ -288,7 +291,7 @@ class SequentialOutcome:
 
 R = TypeVar("R", GroundTruth, Submission, Evaluation, SequentialOutcome)
 
-_FORMATS: Mapping[type, int] = {Submission: 3, Evaluation: 2, SequentialOutcome: 1}
+_FORMATS: Mapping[type, int] = {Submission: 3, Evaluation: 3, SequentialOutcome: 1}
 """Version of the keys of a line. An answer has none: a commitment is the hash of its line."""
 
 _NAMES: Mapping[type, str] = {

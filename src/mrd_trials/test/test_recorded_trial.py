@@ -11,12 +11,13 @@ import pytest
 
 from mrd_base import InputError
 from mrd_runs import read_runs
+from mrd_trials import evaluate
 from mrd_trials.commitments import open_answers
 from mrd_trials.evaluate import evaluate_trial
 from mrd_trials.excitation import BEFORE_AFTER, FRESH_RUNS, SEMIREAL
 from mrd_trials.make import make_trial
 from mrd_trials.recorded_session import split_runs
-from mrd_trials.records import Evaluation, Explanation, GroundTruth, Submission
+from mrd_trials.records import Evaluation, Explanation, GroundTruth, Submission, from_json
 from mrd_trials.run import run_trial
 from mrd_trials.scoring.rates import Rate
 from mrd_trials.scoring.report import write_score_report
@@ -200,18 +201,43 @@ def test_another_method_can_diagnose_and_is_scored(trial, tmp_path):
     assert not [submission.failure for submission in submissions.values() if submission.failure]
     evaluations = evaluate_trial(folder, answers, submissions, tmp_path)
     score = score_trial(answers, submissions, evaluations)
-    semireal, compared = score.altered[SEMIREAL], score.altered[BEFORE_AFTER]
-    assert semireal.untouched == Rate(2, 2)
-    assert semireal.wrong == Rate(0, 2)  # what is named without the effect too counts for nothing
-    assert compared.untouched == Rate(2, 2)
+    semireal, compared = score.tiers[SEMIREAL], score.tiers[BEFORE_AFTER]
+    assert semireal.classes.null == Rate(2, 2)
+    assert semireal.classes.wrong == Rate(0, 2)  # what is named without the effect too counts for nothing
+    assert compared.classes.null == Rate(2, 2)
     assert semireal.calibration.count == 0
     assert compared.calibration.count == 8
-    assert score.by_excitation["rich"].plants == 0
+    assert score.tiers["rich"].plants == 0
     for text in (markdown_tables(score), write_score_report(score, tmp_path).read_text()):
-        assert "Effects put into measured recordings" in text
+        assert "Goals, measured recordings" in text
     # Nothing was corrected, so nothing of what was added is closed.
-    assert len(semireal.closed.values) == 1
-    assert abs(semireal.closed.median) < 0.05
+    assert len(semireal.relative_closure.values) == 1
+    assert abs(semireal.relative_closure.median) < 0.05
+
+
+def test_evaluations_follow_the_submissions(trial, tmp_path, monkeypatch):
+    folder, answers = trial
+    submissions = run_trial(folder, tmp_path, installed_diagnoser(seed=3), method=stand_in)
+    monkeypatch.setattr(evaluate, "evaluate_plant", lambda plant: Evaluation(plant.truth.plant, plant.digest))
+    path = tmp_path / evaluate.EVALUATIONS_FILE
+
+    def written(submissions):
+        evaluate_trial(folder, answers, submissions, tmp_path)
+        return [from_json(Evaluation, line, "here").plant for line in path.read_text(encoding="utf-8").splitlines()]
+
+    altered = next(truth for truth in answers.values() if truth.excitation == SEMIREAL and truth.background)
+    untouched = altered.background
+    on_it = {truth.plant for truth in answers.values() if truth.excitation == SEMIREAL and truth.background == untouched}
+    # Another version has left its evaluations, and one verdict is not there yet.
+    path.write_text('{"format":2,"plant":"p0001"}\n', encoding="utf-8")
+    first = written({plant: entry for plant, entry in submissions.items() if plant != untouched})
+    assert set(first) == answers.keys() - on_it - {untouched}
+    assert written(submissions) == [*first, *(plant for plant in answers if plant in on_it | {untouched})]
+    assert written(submissions)[: len(first)] == first
+    # What was evaluated beside another verdict on the untouched recordings is evaluated again.
+    changed = {**submissions, untouched: replace(submissions[untouched], verdict="no_gap")}
+    assert set(written(changed)[-1 - len(on_it) :]) == on_it | {untouched}
+    assert len(written(changed)) == len(answers)
 
 
 def test_a_comparison_needs_a_method_that_compares(trial, tmp_path):
@@ -253,6 +279,12 @@ def submit(plant, verdict, *names):
     return Submission(plant, verdict, causes=tuple(Explanation((name,), 0.9, nan) for name in names))
 
 
+def scored(truths, submissions, evaluations=()):
+    """Return the figures of the only tier."""
+    by_plant = ({record.plant: record for record in records} for records in (truths, submissions, evaluations))
+    return score_trial(*by_plant).tiers[truths[0].excitation]
+
+
 def test_a_name_that_the_untouched_recordings_get_too_counts_for_no_one():
     truths = [
         truth_of("n", "null"),
@@ -269,19 +301,39 @@ def test_a_name_that_the_untouched_recordings_get_too_counts_for_no_one():
         submit("c", "ambiguous", "joint_play"),
         submit("d", "explained", "channel_delay", "gas_spring"),
     ]
-    evaluations = [Evaluation("b", fresh_closure=0.8), Evaluation("a", fresh_closure=0.1)]
-    by_plant = ({record.plant: record for record in records} for records in (truths, submissions, evaluations))
-    found = score_trial(*by_plant).altered[SEMIREAL]
+    evaluations = [Evaluation("b", oracle_closure=1.0, closure=0.8), Evaluation("a", oracle_closure=1.0, closure=0.1)]
+    found = scored(truths, submissions, evaluations)
     assert found.not_counted == 1
-    assert found.detectable == Rate(1, 2)  # the plant without submission has failed
-    assert found.single == Rate(1, 3)
-    assert found.pair == Rate(0, 1)
-    assert found.wrong == Rate(2, 5)
-    assert found.untouched == Rate(1, 1)
+    assert found.classes.right == found.classes.cause == Rate(1, 2)  # the plant without submission has failed
+    assert found.classes.both == Rate(0, 1)
+    assert found.classes.wrong == Rate(2, 4)
+    assert found.classes.null == Rate(1, 1)
     assert found.calibration.count == 3
-    assert found.closed.values == (0.8,)
-    assert found.by_effect == {"channel_delay": Rate(1, 1), "moving_mass": Rate(0, 1)}
+    assert found.relative_closure.values == (0.8, 0.0)
+    assert [entry.right for entry in found.strata if entry.factor == "effect"] == [Rate(1, 1), Rate(0, 1)]
     assert not is_detectable(truths[3])
+
+
+def test_the_background_is_what_is_named_in_classes_too():
+    """The class of the untouched runs is led by its first effect, that of the altered ones by its second."""
+    late = ("channel_delay", "force_sensor_lag")
+
+    def led_by(plant, effect):
+        cause = Explanation((effect,), 0.6, (float("nan"),) * 3, level="class", members=late)
+        return Submission(plant, "ambiguous", causes=(cause,))
+
+    truths = [truth_of("n", "null"), truth_of("a", "single", late[1]), truth_of("b", "single", "end_stop")]
+    found = scored(truths, [led_by("n", late[0]), led_by("a", late[1]), led_by("b", late[1])])
+    assert found.not_counted == 1
+    assert found.classes.right == found.classes.wrong == Rate(0, 1)
+    assert found.calibration.count == 0
+
+
+def test_names_beside_an_unknown_background_are_worth_nothing():
+    truths = [truth_of("n", "null"), truth_of("a", "single", "end_stop")]
+    for untouched in ([], [Submission("n", "failed", "an error")]):
+        found = scored(truths, [submit("a", "explained", "end_stop"), *untouched])
+        assert (found.classes.right, found.classes.wrong) == (Rate(0, 1), Rate(1, 1))
 
 
 def test_what_the_untouched_recordings_show_is_not_known_to_be_wrong():
@@ -298,20 +350,19 @@ def test_what_the_untouched_recordings_show_is_not_known_to_be_wrong():
         submit("b", "partly_explained", "gas_spring"),
         submit("c", "partly_explained", "settling"),
     ]
-    by_plant = ({record.plant: record for record in records} for records in (truths, submissions))
-    found = score_trial(*by_plant, {}).altered[SEMIREAL]
+    found = scored(truths, submissions)
     assert found.classes.wrong == Rate(3, 3)
-    assert found.wrong_unshown == Rate(2, 3)
+    assert found.classes.wrong_unshown == Rate(2, 3)
 
 
 def test_a_name_without_a_change_is_wrong_in_a_comparison():
     truths = [truth_of("n", "null", tier=BEFORE_AFTER), truth_of("a", "single", "moving_mass", tier=BEFORE_AFTER)]
-    submissions = [submit("n", "explained", "moving_mass"), submit("a", "explained", "moving_mass")]
-    found = score_trial(*({record.plant: record for record in records} for records in (truths, submissions)), {}).altered
-    assert found[BEFORE_AFTER].untouched == Rate(1, 1)
-    assert found[BEFORE_AFTER].detectable == Rate(1, 1)
-    assert found[BEFORE_AFTER].calibration.count == 2
-    assert found[BEFORE_AFTER].not_counted == 0
+    found = scored(truths, [submit("n", "explained", "moving_mass"), submit("a", "explained", "moving_mass")])
+    assert found.classes.null == Rate(1, 1)
+    assert found.classes.right == Rate(1, 1)
+    assert found.calibration.count == 2
+    assert found.not_counted == 0
+    assert found.relative_closure.values == ()
 
 
 def test_a_class_counts_as_right_where_it_holds_the_cause():
@@ -331,8 +382,7 @@ def test_a_class_counts_as_right_where_it_holds_the_cause():
         Submission("c", "ambiguous", causes=(late, Explanation(("joint_play",), 0.9, nan))),
         submit("d", "unknown_effect"),
     ]
-    records = ({record.plant: record for record in records} for records in (truths, submissions))
-    rates = score_trial(*records, {}).altered[SEMIREAL].classes
-    assert (rates.right, rates.both, rates.wrong) == (Rate(1, 2), Rate(1, 1), Rate(1, 4))
+    rates = scored(truths, submissions).classes
+    assert (rates.right, rates.cause, rates.both, rates.wrong) == (Rate(1, 2), Rate(0, 2), Rate(1, 1), Rate(1, 4))
     assert (rates.effect, rates.undivided) == (Rate(1, 1), Rate(3, 4))
     assert rates.members.values == (2.0, 2.0, 2.0, 1.0)

@@ -67,10 +67,11 @@ submissions = st.builds(
 evaluations = st.builds(
     Evaluation,
     names,
+    names,
+    numbers,
     numbers,
     st.tuples(bins),
     numbers,
-    st.dictionaries(names, st.tuples(names)),
     st.dictionaries(names, st.tuples(names, names)),
     st.booleans(),
     st.none(),
@@ -95,7 +96,7 @@ def test_a_line_of_another_format_is_refused():
     line = to_json(Submission("p0001", "no_gap")).replace('"format":3', '"format":1')
     with pytest.raises(InputError, match=r"here: is not a submission \(format 1, expected 3\)"):
         from_json(Submission, line, "here")
-    with pytest.raises(InputError, match="format 2, expected None"):
+    with pytest.raises(InputError, match="format 3, expected None"):
         from_json(GroundTruth, to_json(Evaluation("p0001")), "here")
 
 

@@ -1,22 +1,23 @@
 """Diagnosing a trial: continued, on a cluster, by one diagnoser."""
 
+import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from distributed import LocalCluster
 
 from mrd_base import InputError
-from mrd_trials import run
+from mrd_trials import evaluate, run
 from mrd_trials.bench_session import as_run
 from mrd_trials.cli.score import work
-from mrd_trials.evaluate import DiagnosedPlant, evaluate_plant
+from mrd_trials.evaluate import DiagnosedPlant
 from mrd_trials.excitation import Tier
-from mrd_trials.records import GroundTruth, Submission, to_json
+from mrd_trials.records import Evaluation, Explanation, GroundTruth, Submission, to_json
 from mrd_trials.run import VERDICTS_FILE, run_trial
-from mrd_trials.submission import DIAGNOSER_FILE, diagnose_plant, installed_diagnoser
+from mrd_trials.submission import DIAGNOSER_FILE, diagnose_plant, installed_diagnoser, reserve_folder
 from mrd_trials.trial_design import PlantDesign, Recipe
 from mrd_trials.trial_folder import PublicPlant, PublicTrial, read_given_runs, read_trial, write_recordings, write_trial
 from mrd_trials.truth import BenchCommand, TrueInstruments, TruePlant, record
@@ -91,8 +92,13 @@ def test_every_plant_is_diagnosed_around_a_model_that_is_asked_for(trial, tmp_pa
     monkeypatch.setattr("sys.argv", ["score", str(trial), str(tmp_path / "asked")])
     with pytest.raises(InputError, match=r"asked: holds verdicts around sigmoid, .*name such a folder after --around"):
         work()
-    monkeypatch.setattr("sys.argv", ["score", str(trial), str(tmp_path / "own"), "--around", str(tmp_path / "nothing")])
+    monkeypatch.setattr(
+        "sys.argv", ["score", str(trial), str(tmp_path / "own"), "--around", *2 * [str(tmp_path / "nothing")]]
+    )
     with pytest.raises(InputError, match="nothing: holds no verdicts"):
+        work()
+    monkeypatch.setattr("sys.argv", ["score", str(trial), str(tmp_path / "own"), "--around", str(tmp_path / "asked")])
+    with pytest.raises(InputError, match="asked: found one folder, expected those of two models or more"):
         work()
 
 
@@ -141,19 +147,92 @@ def refuse_nothing(runs, model, *, effects, bench, seed, reference=(), simulator
     raise RuntimeError(f"{len(runs)} runs were read")
 
 
-def test_a_failed_diagnosis_is_not_repeated_by_the_evaluation():
+def rich_plant(folder, kind, submission):
+    """A plant of rich excitation with its submission; its recordings are those of the first plant of the trial."""
+    causes = {"single": ("moving_mass",)}.get(kind, ())
+    effects, strength = {cause: {} for cause in causes}, 20.0 * len(causes)
     truth = GroundTruth(
-        "p0001", "null", "bouc_wen", "bouc_wen", False, (), {}, {}, {}, (), {}, 0.0, "", "rich", 500.0, 1, "00"
+        "p0001", kind, "bouc_wen", "bouc_wen", False, (), {}, effects, {}, causes, {}, strength, "", "rich", 100.0, 1, "00"
     )
-    plant = DiagnosedPlant(
-        Path("nowhere"),
-        PlantDesign("p0001", "null", Tier("rich", 500.0), (1, 1), "bouc_wen", (), ()),
-        "",
-        PublicPlant("p0001", "bouc_wen", "rich", 500.0, ("nowhere.csv",), ""),
-        truth,
-        Submission("p0001", "failed", "ValueError: no reason"),
+    size = {"force": 1.0, "motion": 1.0, "current": 1.0}
+    design = PlantDesign("p0001", kind, Tier("rich", 100.0), (1, 1), "bouc_wen", (), ())
+    public = read_trial(folder).plants[0]
+    return DiagnosedPlant(folder, design, "", public, replace(truth, size=size), submission, seed=7)
+
+
+@pytest.fixture
+def unrendered(monkeypatch):
+    """No plant is rendered once more, which takes long."""
+    monkeypatch.setattr(evaluate.BenchSession, "from_design", lambda *_: None)
+
+
+@pytest.mark.parametrize("verdict", ["failed", "data_fault"])
+@pytest.mark.usefixtures("unrendered")
+def test_baseline_methods_run_whatever_the_verdict(trial, monkeypatch, verdict):
+    plant = rich_plant(trial, "null", Submission("p0001", verdict))
+    monkeypatch.setattr(evaluate, "run_baseline_methods", lambda runs, model: {"bic": (model, str(len(runs)))})
+    assert evaluate.evaluate_plant(plant).rankings == {"bic": ("bouc_wen", "2")}
+
+
+@pytest.mark.usefixtures("unrendered")
+def test_what_fails_the_diagnosis_may_fail_the_baseline_methods(trial, monkeypatch):
+    def fails(runs, model):
+        raise ValueError("no reason")
+
+    monkeypatch.setattr(evaluate, "run_baseline_methods", fails)
+    plant = rich_plant(trial, "null", Submission("p0001", "failed"))
+    assert evaluate.evaluate_plant(plant).rankings == {}
+    with pytest.raises(ValueError, match="no reason"):
+        evaluate.evaluate_plant(replace(plant, submission=Submission("p0001", "no_gap")))
+    refused = replace(plant.public, runs=("nowhere.csv",))
+    assert evaluate.evaluate_plant(replace(plant, public=refused)).rankings == {}
+
+
+@pytest.mark.usefixtures("unrendered")
+def test_closure_is_measured_alike_for_the_oracle_and_the_submission(trial, monkeypatch):
+    seeds = []
+
+    def oracle(plant, runs, seed, effects):
+        seeds.append(seed)
+        return Submission("p0001", "explained", effects=("oracle",))
+
+    meter = SimpleNamespace(
+        on_given_runs=lambda effects, parameters: {"oracle": 0.9, "mine": 0.6}[effects[0]],
+        on_fresh_runs=lambda effects, parameters: 0.5,
     )
-    assert evaluate_plant(plant).rankings == {}
+    monkeypatch.setattr(evaluate, "run_baseline_methods", lambda runs, model: {})
+    monkeypatch.setattr(evaluate, "diagnose_plant", oracle)
+    monkeypatch.setattr(evaluate.ClosureMeter, "from_session", lambda *_: meter)
+    named = (Explanation(("mine",), 0.9, (0.95, 0.9, 1.0)),)
+    plant = rich_plant(trial, "single", Submission("p0001", "explained", causes=named, effects=("mine",)))
+    found = evaluate.evaluate_plant(plant)
+    assert (found.oracle_closure, found.closure, found.fresh_closure) == (0.9, 0.6, 0.5)
+    unnamed = replace(plant, submission=replace(plant.submission, causes=()))
+    assert evaluate.evaluate_plant(unnamed).closure == 0.0
+    assert seeds == [7, 7]
+
+
+def test_simulated_plants_are_evaluated_by_the_diagnoser_of_the_verdicts(trial, tmp_path, monkeypatch):
+    of_plant = rich_plant(trial, "null", Submission("p0001", "no_gap"))
+    answers = {plant: replace(of_plant.truth, plant=plant) for plant in ("p0001", "p0002")}
+    submissions = {"p0001": of_plant.submission}
+    seeds = []
+
+    def empty(plant):
+        seeds.append(plant.seed)
+        return Evaluation(plant.truth.plant, plant.digest)
+
+    monkeypatch.setattr(evaluate, "evaluate_plant", empty)
+    with pytest.raises(InputError, match="does not tell whose verdicts these are"):
+        evaluate.evaluate_trial(trial, answers, submissions, tmp_path)
+    reserve_folder(replace(DIAGNOSER, seed=5, version="older"), tmp_path)
+    assert list(evaluate.evaluate_trial(trial, answers, submissions, tmp_path)) == ["p0001"]
+    assert seeds == [5]
+    other = json.dumps(vars(DIAGNOSER) | {"code": "0"})
+    (tmp_path / DIAGNOSER_FILE).write_text(other, encoding="utf-8")
+    assert list(evaluate.evaluate_trial(trial, answers, submissions, tmp_path)) == ["p0001"]  # nothing is to be done
+    with pytest.raises(InputError, match="holds verdicts of another diagnoser"):
+        evaluate.evaluate_trial(trial, answers, {"p0001": Submission("p0001", "explained")}, tmp_path)
 
 
 def test_a_cluster_gives_the_same_verdicts(trial, verdicts, tmp_path):

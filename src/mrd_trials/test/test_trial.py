@@ -41,7 +41,7 @@ def test_verdicts_on_a_small_trial_are_no_worse_than_before(tmp_path):
     right = [plant for plant in sorted(submissions) if named[plant] & set(answers[plant].causes)]
     few = {plant: submissions[plant] for plant in right[:2]}
     score = score_trial({plant: answers[plant] for plant in few}, few, evaluate_trial(folder, answers, few, output))
-    rich = score.by_excitation["rich"]
+    rich = score.tiers["rich"]
     assert rich.relative_closure.median > 0.9
     assert rich.maps.overlap.median > 0.6
     assert "Goals" in markdown_tables(score)

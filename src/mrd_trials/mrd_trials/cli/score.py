@@ -13,10 +13,9 @@ from mrd_trials.cli.options import add_answers, add_trial, add_workers, checked_
 from mrd_trials.evaluate import evaluate_trial
 from mrd_trials.records import Submission
 from mrd_trials.run import VERDICTS_FILE, read_verdicts
-from mrd_trials.scoring.around_models import found_around_all
 from mrd_trials.scoring.report import write_score_report
 from mrd_trials.scoring.score import score_trial
-from mrd_trials.scoring.tables import Table, markdown_tables, tabulate, text
+from mrd_trials.scoring.tables import Table, markdown_tables, tabulate
 from mrd_trials.submission import model_of_verdicts
 from mrd_trials.trial_folder import PublicPlant, read_trial
 
@@ -46,6 +45,8 @@ def work() -> None:
     )
     parser.add_argument("--markdown", action="store_true", help="print the tables in Markdown")
     arguments = parser.parse_args()
+    if len(arguments.around) == 1:
+        raise InputError(f"--around {arguments.around[0]}: found one folder, expected those of two models or more")
     if model := model_of_verdicts(arguments.verdicts):
         raise InputError(
             f"{arguments.verdicts}: holds verdicts around {model}, expected those around the model that the trial names; "
@@ -58,14 +59,11 @@ def work() -> None:
         evaluations = evaluate_trial(
             arguments.trial, answers, submissions, arguments.verdicts, checked_workers(arguments), show
         )
-    score = score_trial(answers, submissions, evaluations)
+    score = score_trial(answers, submissions, evaluations, around)
     if arguments.markdown:
         print(markdown_tables(score))
     else:
         _print(tabulate(score))
-    if around:
-        rate = text(found_around_all(answers, around))
-        print(f"Causes that are named around one of {len(around)} models, by themselves or in a class: around all, {rate}")
     print(write_score_report(score, arguments.verdicts))
 
 

@@ -1,46 +1,45 @@
 """Justified certainty of a diagnosis: calibration of its probabilities, coverage of its intervals."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
-from mrd_trials.records import Explanation
-from mrd_trials.scoring.plant_result import PlantResult, PlantResults
+from mrd_trials.learn import rows_of
+from mrd_trials.scoring.plant_result import PlantResults
 from mrd_trials.scoring.rates import Calibration, Rate, calibration
 
-Claim = tuple[PlantResult, Explanation]
 
-
-def claims_of_causes(results: PlantResults) -> list[Claim]:
-    """Return every cause that is named."""
-    return [(result, cause) for result in results for cause in result.submission.causes]
-
-
-def claims_of_first_candidates(results: PlantResults) -> list[Claim]:
-    """Return the first candidate of every plant without a named cause."""
-    return [
-        (result, result.submission.candidates[0]) for result in results if not result.named and result.submission.candidates
+def calibration_of_names(results: PlantResults) -> Calibration:
+    """Compute the calibration of the effects that are named by themselves or first of their class."""
+    claims = [
+        (cause.probability, result.judge(cause.effects))
+        for result in results
+        if result.counts
+        for cause in result.submission.causes
     ]
+    return _calibration((probability, right) for probability, right in claims if right is not None)
 
 
-def calibration_of(claims: Sequence[Claim]) -> Calibration:
-    """Compute the calibration of claims; those without a probability, or of what the form contains, are left out."""
-    usable = [
-        (result, claim)
-        for result, claim in claims
-        if np.isfinite(claim.probability) and not set(claim.effects) & (result.not_wrong - result.true_causes)
-    ]
-    probability = np.clip([claim.probability for _, claim in usable], 0.0, 1.0).astype(float)
-    right = np.array([result.true_causes.issuperset(claim.effects) for result, claim in usable], dtype=bool)
-    return calibration(probability, right)
+def calibration_of_presence(results: PlantResults) -> Calibration:
+    """Compute the calibration of the classes that were weighed by their evidence, named or not."""
+    answers = {result.truth.plant: result.truth for result in results}
+    rows = rows_of(answers, {result.truth.plant: result.submission for result in results})
+    return _calibration((row.weighed.probability, row.right) for row in rows)
 
 
-def coverage_by_effect(claims: Sequence[Claim]) -> dict[str, Rate]:
+def _calibration(claims: Iterable[tuple[float, bool]]) -> Calibration:
+    """Compute the calibration of claims, of those that have a probability."""
+    usable = [(probability, right) for probability, right in claims if np.isfinite(probability)]
+    probabilities = np.clip([probability for probability, _ in usable], 0.0, 1.0).astype(float)
+    return calibration(probabilities, np.array([right for _, right in usable], dtype=bool))
+
+
+def coverage_by_effect(results: PlantResults) -> dict[str, Rate]:
     """Return how often the 95 % intervals of rightly named causes hold the true sizes, by effect."""
     outcomes: dict[str, list[bool]] = {}
-    for result, cause in claims:
+    for truth, cause in ((result.truth, cause) for result in results for cause in result.submission.causes):
         for name, ends in cause.sizes.items():
             effect = name.partition(".")[0]
-            if effect in result.true_causes and name in result.truth.sizes and np.isfinite(ends).all():
-                outcomes.setdefault(effect, []).append(bool(ends[1] <= result.truth.sizes[name] <= ends[2]))
+            if effect in truth.causes and name in truth.sizes and np.isfinite(ends).all():
+                outcomes.setdefault(effect, []).append(bool(ends[1] <= truth.sizes[name] <= ends[2]))
     return {effect: Rate.from_outcomes(outcomes[effect]) for effect in sorted(outcomes)}

@@ -6,7 +6,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from mrd_base.figures import ACCENT, LAYOUT, MEASURED, MODELLED
-from mrd_trials.scoring.naming import MethodRates, NamingRates
+from mrd_trials.scoring.classes import Stratum
+from mrd_trials.scoring.methods import MethodRates
 from mrd_trials.scoring.rates import Calibration, Distribution, Rate
 from mrd_trials.scoring.verdict_counts import Counts
 
@@ -15,32 +16,24 @@ _WRONG_SCALE = [[0.0, "#f5f7fa"], [0.001, "#f7dfb0"], [0.5, "#edae49"], [1.0, MO
 _RIGHT_SCALE = [[0.0, "#f5f7fa"], [0.001, "#d3e9e6"], [1.0, ACCENT]]
 
 
-def naming(strata: Sequence[NamingRates]) -> go.Figure:
-    """Show how often an equivalent of the cause is named, with intervals, and how often the cause is ranked first."""
-    shown = [rates for rates in strata if rates.named.total][::-1]
-    names = [f"{rates.stratum} <i>({rates.named.total})</i>" for rates in shown]
-    figure = go.Figure(
-        [
-            go.Scatter(
-                x=[rates.ranked.value for rates in shown],
-                y=names,
-                mode="markers",
-                name="cause ranked first",
-                marker={"symbol": "line-ns", "size": 13, "line": {"width": 2.5, "color": MEASURED}},
-            ),
-            _points([rates.named_equivalent for rates in shown], names, "cause or equivalent named first", ACCENT),
-        ]
+def naming(strata: Sequence[Stratum]) -> go.Figure:
+    """Show how often the right class is named, with intervals."""
+    shown = strata[::-1]
+    names = [f"{stratum.name} <i>({stratum.right.total})</i>" for stratum in shown]
+    figure = _share_layout(
+        go.Figure(_points([stratum.right for stratum in shown], names, "class named", ACCENT)), len(shown)
     )
-    return _share_layout(figure, len(shown))
+    figure.update_layout(showlegend=False)
+    return figure
 
 
 def methods(rows: Sequence[MethodRates]) -> go.Figure:
-    """Show how often each method puts the cause or an equivalent first, and its false alarms on null plants."""
+    """Show how often each method puts the cause first, and its false alarms on null plants."""
     shown = rows[::-1]
     names = [row.method for row in shown]
     figure = go.Figure(
         [
-            _points([row.equivalent_first for row in shown], names, "cause or equivalent first", ACCENT),
+            _points([row.first for row in shown], names, "cause first", ACCENT),
             _points([row.false_alarms for row in shown], names, "false alarms", MODELLED),
         ]
     )
@@ -56,25 +49,25 @@ def coverage(rates: Mapping[str, Rate]) -> go.Figure:
     return figure
 
 
-def reliability(causes: Calibration, with_candidates: Calibration) -> go.Figure:
+def reliability(calibration: Calibration) -> go.Figure:
     """Show how often claims were right, over the probability that they were given."""
-    figure = go.Figure(go.Scatter(x=[0, 1], y=[0, 1], mode="lines", line={"color": MEASURED, "dash": "dash"}, name="ideal"))
-    curves = ((with_candidates, "with first candidates", MODELLED), (causes, "named causes", ACCENT))
-    for calibration, name, colour in curves:
-        rates = [entry.right for entry in calibration.curve]
-        figure.add_trace(
+    rates = [entry.right for entry in calibration.curve]
+    figure = go.Figure(
+        [
+            go.Scatter(x=[0, 1], y=[0, 1], mode="lines", line={"color": MEASURED, "dash": "dash"}, name="ideal"),
             go.Scatter(
                 x=[entry.mean for entry in calibration.curve],
                 y=[rate.value for rate in rates],
                 mode="lines+markers",
-                name=name,
-                line={"color": colour, "width": 1},
-                marker={"size": 8, "color": colour},
-                error_y=_error_bars(rates, colour),
+                name="named effects",
+                line={"color": ACCENT, "width": 1},
+                marker={"size": 8, "color": ACCENT},
+                error_y=_error_bars(rates, ACCENT),
                 text=[f"{rate.hits} of {rate.total}" for rate in rates],
                 hovertemplate="%{x:.2f}: %{y:.2f}, %{text}",
-            )
-        )
+            ),
+        ]
+    )
     figure.update_xaxes(title_text="probability of the claim", range=[-0.02, 1.02])
     figure.update_yaxes(title_text="share of right claims", range=[-0.02, 1.05])
     figure.update_layout(**LAYOUT, height=420)

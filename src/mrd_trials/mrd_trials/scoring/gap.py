@@ -1,30 +1,45 @@
 """Closure of the gap, its localisation, and its resolution by the recommended experiment."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from mrd_trials.records import GapBin
-from mrd_trials.scoring.plant_result import PlantResults
+from mrd_trials.excitation import BEFORE_AFTER, BLACK_BOX
+from mrd_trials.records import Evaluation, GapBin
+from mrd_trials.scoring.plant_result import PlantResult, PlantResults
 from mrd_trials.scoring.rates import Distribution, Rate
+from mrd_trials.trial_design import ALTERED_TIERS
 
 
 def relative_closures(results: PlantResults) -> Distribution:
-    """Return the share of the gap closed over that of the oracle, on plants with detectable causes of the catalogue."""
-    closures = [
-        np.nan_to_num(result.submission.closed_fraction[0]) / result.evaluation.oracle_closure
-        for result in results
-        if result.detectable and result.truth.kind in ("single", "pair") and result.evaluation.oracle_closure > 0
-    ]
-    return Distribution.of_finite(closures)
+    """Return the share of the gap closed over that of the oracle, on plants with detectable causes of the catalogue.
 
-
-def fresh_differences(results: PlantResults) -> Distribution:
-    """Return the distance between the submitted share of the gap closed and that on fresh runs."""
-    return Distribution.of_finite(
-        abs(result.submission.closed_fraction[0] - result.evaluation.fresh_closure) for result in results
+    Of effects put into recordings, it is the share of the added error that is closed on fresh runs; the oracle closes 1.
+    """
+    return _closures(
+        [result for result in results if result.truth.excitation not in (BLACK_BOX, BEFORE_AFTER)],
+        lambda evaluation: evaluation.closure / evaluation.oracle_closure if evaluation.oracle_closure > 0 else np.nan,
     )
+
+
+def fresh_closures(results: PlantResults) -> Distribution:
+    """Return the share of the gap closed on fresh runs, on simulated plants with detectable causes of the catalogue."""
+    return _closures(_rendered(results), lambda evaluation: evaluation.fresh_closure)
+
+
+def _closures(results: PlantResults, closure: Callable[[Evaluation], float]) -> Distribution:
+    """Return a closure of plants with detectable causes that count; a failed diagnosis closes nothing."""
+    return Distribution.of_finite(
+        0.0 if result.failed else closure(result.evaluation)
+        for result in results
+        if result.counts and result.detectable and result.truth.kind in ("single", "pair")
+    )
+
+
+def _rendered(results: PlantResults) -> list[PlantResult]:
+    """Return the simulated plants that are rendered once more for their evaluation."""
+    return [result for result in results if result.truth.excitation not in (BLACK_BOX, *ALTERED_TIERS)]
 
 
 @dataclass(frozen=True)
@@ -34,28 +49,31 @@ class MapAgreement:
     Attributes
     ----------
     overlap : Distribution
-        Overlap of each plant, the mean over its axes (`overlaps`).
+        Overlap of each plant, the mean over its axes (`overlaps`); 0 where there should be a map and is none.
     uniform : Distribution
         Overlap of a map that says nothing.
-    same_largest_bin : Rate
-        Axes on which both maps have their largest share in the same bin.
     """
 
     overlap: Distribution
     uniform: Distribution
-    same_largest_bin: Rate
 
     @classmethod
     def from_results(cls, results: PlantResults) -> "MapAgreement":
-        """Compare the maps of all plants that have both."""
-        maps = [
-            axes for result in results if (axes := overlaps(result.submission.where, result.evaluation.true_map).values())
-        ]
-        return cls(
-            overlap=Distribution(tuple(float(np.mean([axis.overlap for axis in axes])) for axes in maps)),
-            uniform=Distribution(tuple(float(np.mean([axis.uniform for axis in axes])) for axes in maps)),
-            same_largest_bin=Rate.from_outcomes([axis.same_largest_bin for axes in maps for axis in axes]),
-        )
+        """Compare the maps of simulated plants with detectable effects.
+
+        The map of a gap that is explained in part is that of what remains, and the true map is of all effects: left out.
+        """
+        overlap, uniform = [], []
+        for result in _rendered(results):
+            if not result.detectable or result.submission.verdict == "partly_explained":
+                continue
+            axes = list(overlaps(result.submission.where, result.evaluation.true_map).values())
+            if not result.submission.where:
+                overlap.append(0.0)
+            elif axes:
+                overlap.append(float(np.mean([axis.overlap for axis in axes])))
+                uniform.append(float(np.mean([axis.uniform for axis in axes])))
+        return cls(Distribution(tuple(overlap)), Distribution(tuple(uniform)))
 
 
 LARGE_GAP = 5.0
@@ -65,9 +83,10 @@ LARGE_GAP = 5.0
 def places_found(results: PlantResults) -> Rate:
     """Return the share of diagnoses that say where the error lies, of those whose map is that of a large one (`LARGE_GAP`).
 
-    The map of a gap that is explained in part is that of what remains.
+    The map of a gap that is explained in part is that of what remains. A diagnosis that failed on detectable effects counts
+    as one that does not say it.
     """
-    found = []
+    found = [False for result in results if result.failed and result.detectable]
     for submission in (result.submission for result in results if result.submission.has_place is not None):
         error = submission.after if submission.verdict == "partly_explained" else submission.before
         if error**2 - submission.noise_floor**2 >= LARGE_GAP * submission.noise_floor**2:
@@ -85,12 +104,10 @@ class AxisOverlap:
         Sum of the smaller one of the two shares over the common bins, shares clipped at zero and normalised.
     uniform : float
         The same of a map of equal shares.
-    same_largest_bin : bool
     """
 
     overlap: float
     uniform: float
-    same_largest_bin: bool
 
 
 def overlaps(submitted: Iterable[GapBin], true: Iterable[GapBin]) -> dict[str, AxisOverlap]:
@@ -106,34 +123,12 @@ def overlaps(submitted: Iterable[GapBin], true: Iterable[GapBin]) -> dict[str, A
         )
         if len(common) > 1 and b.sum() > 0:
             a, b = a / (a.sum() or 1.0), b / b.sum()
-            same_largest_bin = bool(a.any() and np.argmax(a) == np.argmax(b))
-            overlap, uniform = float(np.minimum(a, b).sum()), float(np.minimum(1 / len(common), b).sum())
-            axes[axis] = AxisOverlap(overlap, uniform, same_largest_bin)
+            axes[axis] = AxisOverlap(float(np.minimum(a, b).sum()), float(np.minimum(1 / len(common), b).sum()))
     return axes
 
 
-@dataclass(frozen=True)
-class ExperimentComparison:
-    """Plants that the recommended and a random experiment resolve, of those for which one was recommended."""
-
-    advised: Rate
-    random: Rate
-    only_advised: int
-    only_random: int
-
-    @classmethod
-    def from_results(cls, results: PlantResults) -> "ExperimentComparison":
-        """Count the plants for which an experiment was recommended."""
-        tried = [(result.evaluation.advised_resolves, result.evaluation.random_resolves) for result in results]
-        outcomes = [(advised, random) for advised, random in tried if advised is not None and random is not None]
-        return cls(
-            advised=Rate.from_outcomes([advised for advised, _ in outcomes]),
-            random=Rate.from_outcomes([random for _, random in outcomes]),
-            only_advised=outcomes.count((True, False)),
-            only_random=outcomes.count((False, True)),
-        )
-
-    @property
-    def ratio(self) -> float:
-        """Plants resolved by the recommended over those resolved by the random experiment; nan where both resolve none."""
-        return self.advised.hits / self.random.hits if self.random.hits else (np.inf if self.advised.hits else np.nan)
+def resolved(results: PlantResults) -> tuple[Rate, Rate]:
+    """Return how often the recommended and a random experiment resolve a plant, of those for which one was recommended."""
+    tried = [(result.evaluation.advised_resolves, result.evaluation.random_resolves) for result in results]
+    outcomes = [(advised, random) for advised, random in tried if advised is not None and random is not None]
+    return Rate.from_outcomes([advised for advised, _ in outcomes]), Rate.from_outcomes([random for _, random in outcomes])

@@ -9,9 +9,6 @@ from scipy.special import betaincinv
 
 Array = NDArray[np.float64]
 
-LEAST_PROBABILITY = 1e-3
-"""Least probability that the log score uses, so that one wrong claim of certainty does not decide it alone."""
-
 
 @dataclass(frozen=True)
 class Rate:
@@ -42,11 +39,6 @@ class Rate:
     def upper(self) -> float:
         """Upper end of the 95 % interval."""
         return self._quantile(0.975, self.hits + 1, 1.0)
-
-    @property
-    def upper_bound(self) -> float:
-        """One-sided upper bound at 95 %."""
-        return self._quantile(0.95, self.hits + 1, 1.0)
 
     def _quantile(self, level: float, first: int, end: float) -> float:
         if not self.total:
@@ -103,16 +95,16 @@ class Calibration:
         Expected calibration error: mean distance of the curve from the diagonal, weighted by counts.
     by_chance : float
         What this error would be on average if every probability were right: a few claims never lie on the diagonal.
-    brier, log : float
-        Mean squared error, and mean negative logarithm of the probability that was given to what is true.
+    stated, right : float
+        Mean probability, and share of the claims that are right.
     """
 
     count: int
     curve: tuple[ReliabilityBin, ...]
     error: float
     by_chance: float
-    brier: float
-    log: float
+    stated: float
+    right: float
 
 
 def calibration(probability: Array, right: NDArray[np.bool_]) -> Calibration:
@@ -131,12 +123,11 @@ def calibration(probability: Array, right: NDArray[np.bool_]) -> Calibration:
         for tenth, count in enumerate(np.bincount(tenths, minlength=10))
         if count
     )
-    of_truth = np.clip(np.where(right, probability, 1 - probability), LEAST_PROBABILITY, None)
     return Calibration(
         count=len(probability),
         curve=curve,
         error=sum(entry.right.total * abs(entry.mean - entry.right.value) for entry in curve) / len(probability),
         by_chance=float(distances.mean()),
-        brier=float(np.mean((probability - right) ** 2)),
-        log=float(-np.mean(np.log(of_truth))),
+        stated=float(probability.mean()),
+        right=float(right.mean()),
     )

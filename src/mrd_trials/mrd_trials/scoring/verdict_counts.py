@@ -1,11 +1,10 @@
-"""Counts of verdicts and of named effects: mistakes, verdicts by kind of plant, confusion of effects."""
+"""Counts of verdicts and of named effects: verdicts by kind of plant, confusion of effects."""
 
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from mrd_trials.scoring.plant_result import PlantResult, PlantResults, select
-from mrd_trials.scoring.rates import Rate
 
 VERDICTS = ("no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "data_fault", "failed")
 EXCITATIONS = ("rich", "black_box", "paper", "sine", "replay", "semireal", "before_after")
@@ -28,49 +27,6 @@ class Counts:
         """Arrange counts by (row, column)."""
         rows, columns = tuple(rows), tuple(columns)
         return cls(rows, columns, tuple(tuple(counter[row, column] for column in columns) for row in rows))
-
-
-@dataclass(frozen=True)
-class MistakeRates:
-    """Rates of wrong verdicts.
-
-    Attributes
-    ----------
-    null, null_fitted, null_other : Rate
-        Anything is named without any effect: on all such plants, on dampers of the fitted form, on those of another form.
-    false_unknown : Rate
-        An unknown effect is claimed on a damper of the fitted form without any effect.
-    absent : Rate
-        Anything wrong is named where the effect is not in the catalogue.
-    needless_unknown : Rate
-        An unknown effect is claimed on a damper of the fitted form with detectable causes that the catalogue has.
-    """
-
-    null: Rate
-    null_fitted: Rate
-    null_other: Rate
-    false_unknown: Rate
-    absent: Rate
-    needless_unknown: Rate
-
-    @classmethod
-    def from_results(cls, results: PlantResults) -> "MistakeRates":
-        """Count mistakes."""
-        nulls = select(results, kind="null")
-        fitted, other = select(nulls, perturbed=False), select(nulls, perturbed=True)
-        solvable = [
-            result
-            for result in select(results, perturbed=False)
-            if result.detectable and result.true_causes and result.true_causes == result.truth.effects.keys()
-        ]
-        return cls(
-            null=Rate.from_outcomes([result.false_alarm for result in nulls]),
-            null_fitted=Rate.from_outcomes([result.false_alarm for result in fitted]),
-            null_other=Rate.from_outcomes([result.false_alarm for result in other]),
-            false_unknown=Rate.from_outcomes([result.abstains for result in fitted]),
-            absent=Rate.from_outcomes([result.false_alarm for result in select(results, kind="absent")]),
-            needless_unknown=Rate.from_outcomes([result.abstains for result in solvable]),
-        )
 
 
 def count_verdicts(results: PlantResults) -> Counts:
@@ -109,7 +65,7 @@ def _named_for(result: PlantResult, cause: str) -> str:
     if cause in result.named:
         return cause
     without_name = _NOT_NAMED if result.named else result.submission.verdict
-    return next((effect for effect in result.named if effect not in result.not_wrong), without_name)
+    return next((effect for effect in result.named if effect not in result.truth.causes), without_name)
 
 
 def _kind(result: PlantResult) -> str:
