@@ -63,7 +63,8 @@ class GroundTruth:
     salt : str
         Hexadecimal digits that keep the commitment from being guessed.
     background : str
-        Plant with the same recordings, untouched; empty for a simulated plant and for the untouched one itself.
+        Plant with the recordings of the same background, untouched; empty for a simulated plant and for the untouched one
+        itself. In a comparison, the untouched plant always has other runs after than before.
     size : mapping
         ``force``, ``motion`` and ``current`` of the plant over those at the reference size.
     begins_in_motion : bool
