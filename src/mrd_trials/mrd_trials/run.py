@@ -77,7 +77,7 @@ def run_trial(
         for first in range(0, len(names), PORTION):
             pieces = []
             for plant in (plants[name] for name in names[first : first + PORTION]):
-                read = _read_recordings(folder, plant)
+                read = read_recordings(folder, plant)
                 if isinstance(read, Submission):
                     yield read
                 else:
@@ -106,14 +106,14 @@ def read_verdicts(path: Path, plants: Iterable[PublicPlant]) -> dict[str, Submis
 
 
 def _diagnose_files(folder: Path, plant: PublicPlant, seed: int, method: Method) -> Submission:
-    read = _read_recordings(folder, plant)
+    read = read_recordings(folder, plant)
     if isinstance(read, Submission):
         return read
     runs, reference = read
     return diagnose_plant(plant, runs, seed, reference=reference, method=method)
 
 
-def _read_recordings(folder: Path, plant: PublicPlant) -> tuple[list[Run], list[Run]] | Submission:
+def read_recordings(folder: Path, plant: PublicPlant) -> tuple[list[Run], list[Run]] | Submission:
     """Return the recordings of a plant and its reference, or the failure of a plant whose recordings are refused."""
     try:
         return read_given_runs(folder, plant), read_reference_runs(folder, plant)
