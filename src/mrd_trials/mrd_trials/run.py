@@ -61,9 +61,9 @@ def run_trial(
     ------
     InputError
         When there is no trial, ``output`` holds verdicts of another diagnoser or on another trial, or the trial asks for
-        comparisons that the method cannot make.
+        comparisons that the method cannot make, or no file has its source.
     """
-    diagnoser = diagnoser or installed_diagnoser()
+    diagnoser = (diagnoser or installed_diagnoser()).with_method(method)
     plants = {plant.plant: replace(plant, model=diagnoser.model or plant.model) for plant in read_trial(folder).plants}
     check_comparison(plants.values(), method)
     reserve_folder(diagnoser, output)
