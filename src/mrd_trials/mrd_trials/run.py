@@ -1,6 +1,6 @@
 """Run a trial: one submission of one diagnoser for each plant, failures included."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from mrd_diagnosis import diagnose
 from mrd_identification.cluster import run_on_cluster
 from mrd_runs import Run
 from mrd_trials.parallel import run_in_processes
-from mrd_trials.records import Submission, complete_records, read_records
+from mrd_trials.records import SequentialOutcome, Submission, complete_records, read_records
 from mrd_trials.submission import (
     Diagnoser,
     Method,
@@ -97,12 +97,25 @@ def read_verdicts(path: Path, plants: Iterable[PublicPlant]) -> dict[str, Submis
         When one is on a plant of another trial.
     """
     submissions = read_records(Submission, path)
+    require_same_trial(submissions, plants, path)
+    return submissions
+
+
+def require_same_trial(
+    records: Mapping[str, Submission] | Mapping[str, SequentialOutcome], plants: Iterable[PublicPlant], path: Path
+) -> None:
+    """Require that the records of a file are on the plants that a trial has under these names.
+
+    Raises
+    ------
+    InputError
+        When one is on a plant of another trial.
+    """
     for plant in plants:
-        if plant.plant in submissions and submissions[plant.plant].commitment != plant.commitment:
+        if plant.plant in records and records[plant.plant].commitment != plant.commitment:
             raise InputError(
                 f"{path}: the verdict on {plant.plant} is on a plant of another trial; name this trial's folder"
             )
-    return submissions
 
 
 def _diagnose_files(folder: Path, plant: PublicPlant, seed: int, method: Method) -> Submission:
