@@ -33,7 +33,7 @@ SEMIREAL, BEFORE_AFTER = "semireal", "before_after"
 """Tiers of measured recordings into which effects are put; those of the second are compared with untouched ones."""
 
 BLACK_BOX = "black_box"
-"""Tier whose simulator is no model of the catalogue, but the damper's own form without effects: its recorded outputs."""
+"""Tier whose simulator is no model of the catalogue, but the damper's own form without effects, by its recorded outputs."""
 
 FROM_RECORDINGS = ("replay", SEMIREAL, BEFORE_AFTER)
 """Tiers that need recordings of measured dampers, and have their rate."""
