@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 PARAMETER_STEP = 1e-3
 """Relative change of a parameter by which its influence on the force is measured."""
 
+SIMULATOR_ERROR = 0.05
+"""Largest relative error of each parameter of a simulator that somebody has fitted to the damper."""
+
 Effects = Mapping[str, Mapping[str, float]]
 """Parameters of effects by id."""
 
@@ -49,7 +52,7 @@ class BenchSession:
     effect_seed : int
         Seed of the signs and shapes of the effects.
     fit_seed : int
-        Seed of the fit that measures the strength of the effects.
+        Seed of the fit that measures the strength of the effects, or of the errors of the simulator.
     start_seed : int or None
         Seed of what is cut off at the start of the runs; None where they begin at rest.
     """
@@ -95,9 +98,12 @@ class BenchSession:
         return self._as_runs(self.record(effects))
 
     def simulated_runs(self, given: Sequence[Run]) -> list[Run]:
-        """Return what a simulator of the damper's own form, without effects, answers to the motion of given runs."""
+        """Return what the simulator answers to the motion of given runs."""
+        return self._answers(self.simulator, given)
+
+    def _answers(self, simulator: TruePlant, given: Sequence[Run]) -> list[Run]:
         exact = replace(self.instruments.without_noise(), gain_scatter=0.0, offset_scatter=0.0)
-        readings = record(self.plant, [replay(run) for run in given], exact, np.random.default_rng(self.noise_seed))
+        readings = record(simulator, [replay(run) for run in given], exact, np.random.default_rng(self.noise_seed))
         return [as_run(run.name, answer) for run, answer in zip(given, readings, strict=True)]
 
     def strength_of(self, reference: ReferenceFit, effects: Effects) -> float:
@@ -105,25 +111,27 @@ class BenchSession:
         return reference.signal_to_floor(self.given_runs(effects))
 
     def strength_beside_simulator(self) -> Callable[[Effects], float]:
-        """Return what gives the signal to floor of effects beside a simulator of the damper's own form.
+        """Return what gives the signal to floor of effects beside `simulator`.
 
-        The floor is the noise of the bench. What the parameters of the form could imitate counts as no signal, nor what an
-        offset and a gain of each run could.
+        The floor is what the simulator leaves without effects, an offset and a gain of each run taken out: the noise of the
+        bench, and the errors of its parameters. What these parameters could imitate counts as no signal, nor what an offset
+        and a gain of each run could.
         """
-        given = self.given_runs({})
-        answer = self._answer(given)
+        given, simulator = self.given_runs({}), self.simulator
+        answer = self._forces(simulator, given)
         columns = [offsets_and_gains(answer)]
-        for name, value in self.parameters.items():
-            moved = replace(self.plant, parameters={**self.parameters, name: value * (1.0 + PARAMETER_STEP)})
-            change = np.concatenate(replace(self, plant=moved)._answer(given)) - np.concatenate(answer)
+        errors = _errors(answer, given)
+        scatter = orthonormal_basis(columns[0])
+        floor = errors - scatter @ (scatter.T @ errors)
+        for name, value in simulator.parameters.items():
+            moved = replace(simulator, parameters={**simulator.parameters, name: value * (1.0 + PARAMETER_STEP)})
+            change = np.concatenate(self._forces(moved, given)) - np.concatenate(answer)
             columns.append(change[:, None])
         nuisance = orthonormal_basis(np.hstack(columns))
-        errors = _errors(answer, given)
-        floor = errors - nuisance @ (nuisance.T @ errors)
 
         def strength_of(effects: Effects) -> float:
             runs = self.given_runs(effects)
-            change = _errors(self._answer(runs), runs) - errors
+            change = _errors(self._forces(simulator, runs), runs) - errors
             change -= nuisance @ (nuisance.T @ change)
             return float(np.mean(change**2) / np.mean(floor**2))
 
@@ -140,6 +148,12 @@ class BenchSession:
         return self.plant.parameters
 
     @property
+    def simulator(self) -> TruePlant:
+        """A simulator of the damper's own form, without effects, as somebody would have it: no parameter is quite right."""
+        rng = np.random.default_rng(self.fit_seed)
+        return replace(self.plant, parameters=draw_parameters(self.plant.form, rng, SIMULATOR_ERROR, around=self.parameters))
+
+    @property
     def reference(self) -> tuple[Run, ...]:
         """Recordings from before the effects came: none."""
         return ()
@@ -154,9 +168,9 @@ class BenchSession:
         """Scatter of every run."""
         return draw_scatter(self.instruments, np.random.default_rng(self.noise_seed), len(self.commands))
 
-    def _answer(self, given: Sequence[Run]) -> list[Array]:
-        """Return the force of `simulated_runs` at the samples of each given run."""
-        pairs = zip(given, self.simulated_runs(given), strict=True)
+    def _forces(self, simulator: TruePlant, given: Sequence[Run]) -> list[Array]:
+        """Return the force of a simulator at the samples of each given run."""
+        pairs = zip(given, self._answers(simulator, given), strict=True)
         return [np.interp(run.time, simulated.time, simulated.force) for run, simulated in pairs]
 
     def _as_runs(self, readings: Sequence[Readings]) -> list[Run]:

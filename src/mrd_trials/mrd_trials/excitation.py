@@ -1,5 +1,6 @@
 """Excitation of the plants: sets of runs by tier, replays of recorded runs, and random experiments."""
 
+import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +33,7 @@ SEMIREAL, BEFORE_AFTER = "semireal", "before_after"
 """Tiers of measured recordings into which effects are put; those of the second are compared with untouched ones."""
 
 BLACK_BOX = "black_box"
-"""Tier whose simulator is no model of the catalogue, but the damper's own form without effects: its recorded outputs."""
+"""Tier whose simulator is no model of the catalogue, but the damper's own form without effects, by its recorded outputs."""
 
 FROM_RECORDINGS = ("replay", SEMIREAL, BEFORE_AFTER)
 """Tiers that need recordings of measured dampers, and have their rate."""
@@ -140,14 +141,27 @@ def at_reference(of_plant: BenchCommand, size: Size) -> BenchCommand:
     return BenchCommand(of_plant.time, of_plant.position / size.motion, of_plant.current / size.current)
 
 
+def recorded_files(folder: Path) -> dict[str, list[Path]]:
+    """Return the recordings of measured dampers by the name of their folder; one with too few recordings is left out."""
+    folders = sorted(path for path in folder.glob("*") if path.is_dir())
+    files = {path.name: sorted(file for file in path.glob("*.csv") if "quake" not in file.name) for path in folders}
+    return {name: of_damper for name, of_damper in files.items() if len(of_damper) > FRESH_RUNS}
+
+
 def read_recorded_dampers(folder: Path) -> dict[str, list[Run]]:
-    """Read recordings of measured dampers by the name of their folder; a folder with too few recordings is left out."""
-    dampers = {}
-    for path in sorted(path for path in folder.glob("*") if path.is_dir()):
-        files = [str(file) for file in sorted(path.glob("*.csv")) if "quake" not in file.name]
-        if len(files) > FRESH_RUNS:
-            dampers[path.name] = read_runs(files)
-    return dampers
+    """Read the recordings of `recorded_files`."""
+    return {name: read_runs([str(file) for file in files]) for name, files in recorded_files(folder).items()}
+
+
+def recorded_checksums(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of the recordings of each damper of `recorded_files`, their names included."""
+    checksums = {}
+    for name, files in recorded_files(folder).items():
+        digest = hashlib.sha256()
+        for file in files:
+            digest.update(file.name.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
+        checksums[name] = digest.hexdigest()
+    return checksums
 
 
 # --- the sets, designed for the limits of the shipped bench; waveforms in m, A, s and Hz

@@ -72,10 +72,8 @@ def rows_of(answers: Mapping[str, GroundTruth], submissions: Mapping[str, Submis
             unknown |= {name for entry in untouched.weighed for name in entry.members}
             unknown |= {name for cause in untouched.causes for name in (*cause.effects, *cause.members)}
         for entry in submission.weighed:
-            row = Row(truth.base, entry, causes)
-            if not row.right and ((measured and truth.kind == "null") or not unknown.isdisjoint(entry.members)):
-                continue
-            rows.append(row)
+            if not (measured and truth.kind == "null") and unknown.isdisjoint(entry.members):
+                rows.append(Row(truth.base, entry, causes))
     return rows
 
 

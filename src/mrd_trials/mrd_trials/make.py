@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from mrd_trials.trial_design import (
     design_trial,
     stratum,
     untouched_plants,
+    with_recordings,
 )
 from mrd_trials.trial_folder import (
     DESCRIPTION,
@@ -77,11 +78,13 @@ def make_trial(
     """
     if answers.resolve().is_relative_to(folder.resolve()):
         raise InputError(f"--answers {answers}: lies in {folder}, which the diagnosis is given; name a file outside of it")
+    recipe = with_recordings(recipe)
+    trial = read_trial(folder) if (folder / DESCRIPTION).exists() else PublicTrial(recipe, ())
+    if trial.recipe != replace(recipe, checksums=trial.recipe.checksums):
+        raise InputError(f"{folder}: holds a trial with another recipe ({trial.recipe}); name another folder")
+    recipe = trial.recipe
     designs, left_out = design_trial(recipe)
     folder.mkdir(parents=True, exist_ok=True)
-    trial = read_trial(folder) if (folder / DESCRIPTION).exists() else PublicTrial(recipe, ())
-    if trial.recipe != recipe:
-        raise InputError(f"{folder}: holds a trial with another recipe ({trial.recipe}); name another folder")
     plants = {plant.plant: plant for plant in trial.plants}
     made = read_records(GroundTruth, answers)
     unknown = [plant for plant, truth in made.items() if commitment(truth) not in trial.commitments.values()]

@@ -56,11 +56,11 @@ class RecordedSession:
     def from_design(cls, design: PlantDesign, recorded: str) -> "RecordedSession":
         """Return the session of a design, always the same; ``recorded`` is as in `mrd_trials.trial_design.Recipe`.
 
-        All designs on one background have the same recordings. For a comparison, every second background has the same runs
-        before and after, and the others have two halves that share no run. Where a design has a size, the recordings are
-        brought to that of the reference damper, for which the plausible ranges of the effects are.
+        All designs on one background have the same recordings. A comparison has one half of them before, and after either
+        the same half or the other one. Where a design has a size, the recordings are brought to that of the reference
+        damper, for which the plausible ranges of the effects are.
         """
-        subset_rng = np.random.default_rng([*design.seed[:2], design.background, SUBSET_STREAM])
+        subset_rng = np.random.default_rng([*design.background_key, SUBSET_STREAM])
         runs = read_recorded_dampers(Path(recorded))[design.damper]
         if design.size is not None:
             measured = measured_size(runs)
@@ -70,7 +70,7 @@ class RecordedSession:
         formulas = {name: effect.draw_formula(design.family, formula_rng) for name, effect in EFFECTS.items()}
         phase, effect, fit = map(int, seed_rng.integers(2**62, size=3))
         is_compared = design.tier.excitation == BEFORE_AFTER
-        given = second if is_compared and design.background % 2 else first
+        given = second if is_compared and not design.same_runs else first
         before = tuple(begin_later(first, design.start_seed)) if is_compared else ()
         return cls((*given, *fresh), before, formulas, phase, effect, fit, start_seed=design.start_seed)
 

@@ -63,7 +63,8 @@ class GroundTruth:
     salt : str
         Hexadecimal digits that keep the commitment from being guessed.
     background : str
-        Plant with the same recordings, untouched; empty for a simulated plant and for the untouched one itself.
+        Plant with the recordings of the same background, untouched; empty for a simulated plant and for the untouched one
+        itself. In a comparison, the untouched plant always has other runs after than before.
     size : mapping
         ``force``, ``motion`` and ``current`` of the plant over those at the reference size.
     begins_in_motion : bool
@@ -251,15 +252,18 @@ class PolicyAnswer:
     policy : {"first", "advised", "random", "fixed"}
         Which recordings: the first ones alone, or with those that the diagnosis advised, random ones, or a fixed set.
     verdict : str
+        ``failed`` where the diagnosis raised an error.
     effects : tuple of str
         Effects that are named by themselves.
     classes : tuple of tuple of str
-        What is named: each effect, or each class of effects.
+        What is named: each effect, or the members of each class or stage.
     recordings : int
     duration : float
         Bench time in s of the recordings.
     ending : str
-        Why a sequential diagnosis ended.
+        Why the sequential diagnosis ended; empty for the first recordings alone.
+    failure : str
+        The error in one line.
     """
 
     policy: str
@@ -269,29 +273,35 @@ class PolicyAnswer:
     recordings: int
     duration: float
     ending: str = ""
+    failure: str = ""
 
 
 @dataclass(frozen=True)
 class SequentialOutcome:
-    """Answers on one plant; those beside the first one only where this left the cause open.
+    """Answers on one plant; those beside the first one only where this does not name all causes by themselves.
 
     Attributes
     ----------
     plant : str
-    causes : tuple of str
+    causes, implied : tuple of str
+        As in `GroundTruth`.
     signal_to_floor : float
+    commitment : str
+        Commitment to the answer of the plant.
     answers : tuple of PolicyAnswer
     """
 
     plant: str
     causes: tuple[str, ...]
+    implied: tuple[str, ...]
     signal_to_floor: float
+    commitment: str
     answers: tuple[PolicyAnswer, ...]
 
 
 R = TypeVar("R", GroundTruth, Submission, Evaluation, SequentialOutcome)
 
-_FORMATS: Mapping[type, int] = {Submission: 3, Evaluation: 3, SequentialOutcome: 1}
+_FORMATS: Mapping[type, int] = {Submission: 3, Evaluation: 3, SequentialOutcome: 2}
 """Version of the keys of a line. An answer has none: a commitment is the hash of its line."""
 
 _NAMES: Mapping[type, str] = {

@@ -1,6 +1,6 @@
 """Run a trial: one submission of one diagnoser for each plant, failures included."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from mrd_diagnosis import diagnose
 from mrd_identification.cluster import run_on_cluster
 from mrd_runs import Run
 from mrd_trials.parallel import run_in_processes
-from mrd_trials.records import Submission, complete_records, read_records
+from mrd_trials.records import SequentialOutcome, Submission, complete_records, read_records
 from mrd_trials.submission import (
     Diagnoser,
     Method,
@@ -61,9 +61,9 @@ def run_trial(
     ------
     InputError
         When there is no trial, ``output`` holds verdicts of another diagnoser or on another trial, or the trial asks for
-        comparisons that the method cannot make.
+        comparisons that the method cannot make, or no file has its source.
     """
-    diagnoser = diagnoser or installed_diagnoser()
+    diagnoser = (diagnoser or installed_diagnoser()).with_method(method)
     plants = {plant.plant: replace(plant, model=diagnoser.model or plant.model) for plant in read_trial(folder).plants}
     check_comparison(plants.values(), method)
     reserve_folder(diagnoser, output)
@@ -77,7 +77,7 @@ def run_trial(
         for first in range(0, len(names), PORTION):
             pieces = []
             for plant in (plants[name] for name in names[first : first + PORTION]):
-                read = _read_recordings(folder, plant)
+                read = read_recordings(folder, plant)
                 if isinstance(read, Submission):
                     yield read
                 else:
@@ -97,23 +97,36 @@ def read_verdicts(path: Path, plants: Iterable[PublicPlant]) -> dict[str, Submis
         When one is on a plant of another trial.
     """
     submissions = read_records(Submission, path)
-    for plant in plants:
-        if plant.plant in submissions and submissions[plant.plant].commitment != plant.commitment:
-            raise InputError(
-                f"{path}: the verdict on {plant.plant} is on a plant of another trial; name this trial's folder"
-            )
+    require_same_trial(submissions, plants, path)
     return submissions
 
 
+def require_same_trial(
+    records: Mapping[str, Submission] | Mapping[str, SequentialOutcome], plants: Iterable[PublicPlant], path: Path
+) -> None:
+    """Require that the records of a file are on the plants that a trial has under these names.
+
+    Raises
+    ------
+    InputError
+        When one is on a plant of another trial.
+    """
+    for plant in plants:
+        if plant.plant in records and records[plant.plant].commitment != plant.commitment:
+            raise InputError(
+                f"{path}: the verdict on {plant.plant} is on a plant of another trial; name this trial's folder"
+            )
+
+
 def _diagnose_files(folder: Path, plant: PublicPlant, seed: int, method: Method) -> Submission:
-    read = _read_recordings(folder, plant)
+    read = read_recordings(folder, plant)
     if isinstance(read, Submission):
         return read
     runs, reference = read
     return diagnose_plant(plant, runs, seed, reference=reference, method=method)
 
 
-def _read_recordings(folder: Path, plant: PublicPlant) -> tuple[list[Run], list[Run]] | Submission:
+def read_recordings(folder: Path, plant: PublicPlant) -> tuple[list[Run], list[Run]] | Submission:
     """Return the recordings of a plant and its reference, or the failure of a plant whose recordings are refused."""
     try:
         return read_given_runs(folder, plant), read_reference_runs(folder, plant)

@@ -22,6 +22,9 @@ from mrd_trials.trial_folder import PublicPlant
 DIAGNOSIS_PACKAGES = ("mrd_base", "mrd_runs", "mrd_trajectory", "mrd_sim", "mrd_identification", "mrd_diagnosis")
 """Packages whose code decides what a diagnosis says."""
 
+OWN_SOURCES = ("size.py", "submission.py")
+"""Files of this package that decide what a diagnosis is asked."""
+
 DIAGNOSER_FILE = "diagnoser.json"
 
 Method = Callable[..., Diagnosis]
@@ -36,11 +39,13 @@ class Diagnoser:
     ----------
     version : str
     code, catalogue : str
-        SHA-256 of the sources of `DIAGNOSIS_PACKAGES`, and of the effects among them.
+        SHA-256 of the sources of `DIAGNOSIS_PACKAGES` and `OWN_SOURCES`, and of the effects among them.
     seed : int
         Seed of every diagnosis.
     model : str
         Damper model around which every plant is diagnosed; empty where it is the one that the trial names.
+    method, method_code : str
+        Name of the function that diagnoses, and SHA-256 of the module that has it.
     """
 
     version: str
@@ -48,13 +53,30 @@ class Diagnoser:
     catalogue: str
     seed: int
     model: str = ""
+    method: str = ""
+    method_code: str = ""
+
+    def with_method(self, method: Method) -> "Diagnoser":
+        """Return the diagnoser with the function that diagnoses.
+
+        Raises
+        ------
+        InputError
+            When no file has its source.
+        """
+        try:
+            code = hashlib.sha256(Path(inspect.getfile(method)).read_bytes()).hexdigest()
+        except (TypeError, OSError):
+            raise InputError(f"method {method!r}: no file has its source, expected a function of a module") from None
+        return replace(self, method=f"{method.__module__}.{method.__qualname__}", method_code=code)
 
 
 def installed_diagnoser(seed: int = 0, model: str = "") -> Diagnoser:
     """Return the diagnoser that is installed here."""
     roots = {name: Path(_origin(name)).parent for name in DIAGNOSIS_PACKAGES}
-    code, catalogue = _hash_sources(list(roots.values())), _hash_sources([roots["mrd_sim"] / "effects"])
-    return Diagnoser(VERSION, code, catalogue, seed, model)
+    own = [Path(__file__).with_name(name) for name in OWN_SOURCES]
+    code, catalogue = _hash_sources([*roots.values(), *own]), _hash_sources([roots["mrd_sim"] / "effects"])
+    return Diagnoser(VERSION, code, catalogue, seed, model).with_method(diagnose)
 
 
 def reserve_folder(diagnoser: Diagnoser, output: Path) -> None:
@@ -76,10 +98,15 @@ def reserve_folder(diagnoser: Diagnoser, output: Path) -> None:
     path.write_text(text, encoding="utf-8")
 
 
+def diagnoser_of_verdicts(output: Path) -> dict[str, Any]:
+    """Return what a folder says of the diagnoser of its verdicts, as the fields of `Diagnoser`; empty without verdicts."""
+    path = output / DIAGNOSER_FILE
+    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.exists() else {}
+
+
 def model_of_verdicts(output: Path) -> str:
     """Return the damper model around which all verdicts of a folder are; empty where it is the one that the trial names."""
-    path = output / DIAGNOSER_FILE
-    return str(json.loads(path.read_text(encoding="utf-8")).get("model", "")) if path.exists() else ""
+    return str(diagnoser_of_verdicts(output).get("model", ""))
 
 
 def diagnose_plant(
@@ -207,9 +234,10 @@ def _origin(package: str) -> str:
 
 
 def _hash_sources(roots: Sequence[Path]) -> str:
-    """Return the SHA-256 of all Python sources and JSON files below some folders."""
+    """Return the SHA-256 of some files, or of all Python sources and JSON files below some folders."""
     digest = hashlib.sha256()
     for root in roots:
-        for file in sorted(file for file in root.rglob("*") if file.suffix in (".py", ".json")):
+        files = sorted(root.rglob("*")) if root.is_dir() else [root]
+        for file in (file for file in files if file.suffix in (".py", ".json")):
             digest.update(str(file.relative_to(root.parent)).encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()

@@ -4,15 +4,27 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 
 from mrd_base import InputError
-from mrd_trials.excitation import BEFORE_AFTER, BLACK_BOX, FROM_RECORDINGS, SEMIREAL, Tier, parse_tier, read_recorded_dampers
+from mrd_trials.excitation import (
+    BEFORE_AFTER,
+    BLACK_BOX,
+    FRESH_RUNS,
+    FROM_RECORDINGS,
+    SEMIREAL,
+    Tier,
+    parse_tier,
+    recorded_checksums,
+    recorded_files,
+)
 from mrd_trials.records import GroundTruth, Kind
 from mrd_trials.size import Size, draw_size
 from mrd_trials.truth import ALTERATIONS, DAMPER_FORMS, EFFECTS, Family
+
+T = TypeVar("T")
 
 SHARES: Mapping[str, float] = {"null": 0.25, "single": 0.40, "pair": 0.15, "absent": 0.20}
 """Share of each kind among the plants of a tier; half of each kind have a form that the fitted model cannot take."""
@@ -32,6 +44,9 @@ RECORDED_DETECTABLE = 1 / 3
 
 ALTERED_TIERS = (SEMIREAL, BEFORE_AFTER)
 """Tiers of measured recordings into which effects are put."""
+
+LEAST_RECORDINGS = FRESH_RUNS + 4
+"""Recordings that a damper of these tiers needs: two for each half of a comparison."""
 
 FAMILIES: tuple[Family, ...] = get_args(Family)
 
@@ -54,7 +69,7 @@ SIZE_STREAM, BACKGROUND_SIZE_STREAM = 9, 10
 """Numbers of the random streams, beside those of a plant's design, that give size and start of a plant or a background."""
 
 RECORDED_MODELS = (MODEL, "shear_thinning_bouc_wen")
-"""Damper models that are fitted to recordings, in turn: the better a model, the smaller are the errors that can be seen."""
+"""Damper models that are fitted to backgrounds, in turn: the better a model, the smaller are the errors that can be seen."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +93,8 @@ class Recipe:
         same seed gives the same plants in other units.
     starts : {"drawn", "rest"}
         Whether the recordings of half of the plants begin in mid-motion, or all begin as they were recorded.
+    checksums : mapping, optional
+        SHA-256 of the recordings of each measured damper (`with_recordings`): with others, the same seed gives other plants.
     """
 
     seed: int
@@ -87,6 +104,7 @@ class Recipe:
     family: Family = "development"
     sizes: Sizes = "drawn"
     starts: Starts = "drawn"
+    checksums: Mapping[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -112,6 +130,8 @@ class PlantDesign:
         Id of the damper model to be fitted.
     background : int
         Number of the untouched recordings into which the effects are put; 0 for a simulated plant.
+    same_runs : bool
+        Whether a comparison has the same runs before and after; else the two share none.
     family : {"development", "evaluation"}
         Family from which the formulas of the effects are drawn.
     size : Size or None
@@ -134,6 +154,20 @@ class PlantDesign:
     family: Family = "development"
     size: Size | None = None
     start_seed: int | None = None
+    same_runs: bool = False
+
+    @property
+    def background_key(self) -> tuple[int, ...]:
+        """Key of the random streams that all plants on one background share, and no others."""
+        return (*self.seed[:2], ALTERED_TIERS.index(self.tier.excitation), self.background)
+
+
+def with_recordings(recipe: Recipe) -> Recipe:
+    """Return a recipe with the full path and the checksums of its recordings."""
+    if not recipe.recorded:
+        return recipe
+    folder = Path(recipe.recorded).resolve()
+    return replace(recipe, recorded=str(folder), checksums=recorded_checksums(folder))
 
 
 def design_trial(recipe: Recipe) -> tuple[list[PlantDesign], list[str]]:
@@ -142,7 +176,7 @@ def design_trial(recipe: Recipe) -> tuple[list[PlantDesign], list[str]]:
     Raises
     ------
     InputError
-        When the recipe cannot be made.
+        When the recipe cannot be made, or the recordings are not those of its checksums.
     """
     wrong = {kind: share for kind, share in recipe.shares.items() if kind not in SHARES or not 0 <= share <= 1}
     if wrong or abs(sum(recipe.shares.values()) - 1) > 1e-6:
@@ -154,11 +188,20 @@ def design_trial(recipe: Recipe) -> tuple[list[PlantDesign], list[str]]:
             raise InputError(f"{what} {value}: expected one of {', '.join(known)}")
     stream = FAMILIES.index(recipe.family)
     rng = np.random.default_rng([recipe.seed, stream])
-    recorded = sorted(read_recorded_dampers(Path(recipe.recorded))) if recipe.recorded else []
+    files = recorded_files(Path(recipe.recorded)) if recipe.recorded else {}
+    if recipe.checksums is not None:
+        _require_recordings(recipe.recorded, recipe.checksums)
     designs: list[PlantDesign] = []
     left_out = []
     for text, count in recipe.plants.items():
         tier = parse_tier(text)
+        least = LEAST_RECORDINGS if tier.excitation in ALTERED_TIERS else 0
+        recorded = [name for name, of_damper in files.items() if len(of_damper) >= least]
+        left_out += [
+            f"damper {name} in the tier {tier}: has {len(of_damper)} recordings, expected {least} at least"
+            for name, of_damper in files.items()
+            if len(of_damper) < least
+        ]
         if tier.excitation in FROM_RECORDINGS and not recorded:
             left_out.append(f"{count} plants of the tier {tier}: no recordings in {recipe.recorded or 'any folder'}")
             continue
@@ -171,10 +214,19 @@ def design_trial(recipe: Recipe) -> tuple[list[PlantDesign], list[str]]:
     ], left_out
 
 
+def _require_recordings(recorded: str, expected: Mapping[str, str]) -> None:
+    """Refuse recordings with other checksums: the plants would be other ones."""
+    found = recorded_checksums(Path(recorded))
+    if other := sorted(name for name in found.keys() | expected.keys() if found.get(name) != expected.get(name)):
+        raise InputError(
+            f"{recorded}: the recordings of {', '.join(other)} are not those of the trial, expected the dampers "
+            f"{', '.join(expected) or 'none'} as they were when it was made"
+        )
+
+
 def _with_size_and_start(design: PlantDesign, recipe: Recipe) -> PlantDesign:
     """Draw size and start of a plant; all plants on one background have the same ones."""
-    *trial, number = design.seed
-    key = [*trial, design.background, BACKGROUND_SIZE_STREAM] if design.background else [*trial, number, SIZE_STREAM]
+    key = (*design.background_key, BACKGROUND_SIZE_STREAM) if design.background else (*design.seed, SIZE_STREAM)
     rng = np.random.default_rng(key)
     size, begins_in_motion, seed = draw_size(rng), rng.random() < IN_MOTION, int(rng.integers(2**62))
     return replace(
@@ -222,13 +274,15 @@ def _design_tier(
             form = next_form() if place % 2 or tier.excitation == BLACK_BOX else MODEL_FORM
             design = PlantDesign("", kind, tier, (), form, (), (), damper, family=recipe.family)
             if kind == "single":
-                design = replace(design, effects=(next_known(),), targets=(target(),))
+                effect = next_known()
+                design = replace(design, effects=(effect,), targets=(target(effect),))
             elif kind == "absent":
-                design = replace(design, effects=(next_absent(),), targets=(target(),))
+                effect = next_absent()
+                design = replace(design, effects=(effect,), targets=(target(effect),))
             elif kind == "pair":
                 first = next_known()
                 effects = (first, str(rng.choice([name for name in known if name != first])))
-                targets = (target(DETECTABLE), target(DETECTABLE))
+                targets = tuple(target(effect, DETECTABLE) for effect in effects)
                 (substitution,) = rng.spawn(1)  # so that what is drawn next does not depend on this
                 others = substitution.permutation([name for name in known if name not in effects])
                 design = replace(design, effects=effects, targets=targets, substitutes=tuple(map(str, others)))
@@ -251,19 +305,21 @@ def _design_altered_tier(
     }
     names["pair"] = names["single"]
     turns = {kind: _turns(of_kind, rng) for kind, of_kind in names.items()}
+    next_same_runs = _turns((True, False), rng)
     background = itertools.cycle(range(1, backgrounds + 1))
     for kind, number in _numbers(recipe.shares, count):
         for _ in range(number):
             place = next(background)
             turn, which = divmod(place - 1, len(recorded))
-            damper, model = recorded[which], RECORDED_MODELS[turn % len(RECORDED_MODELS)]
+            damper, model = recorded[which], RECORDED_MODELS[(turn + which) % len(RECORDED_MODELS)]
             design = PlantDesign("", kind, tier, (), damper, (), (), damper, (), model, place, recipe.family)
             if kind != "null":
                 first = turns[kind]()
                 others = [str(name) for name in rng.permutation(names[kind]) if name != first]
                 effects = (first, others.pop()) if kind == "pair" else (first,)
-                targets = tuple(target(RECORDED_DETECTABLE if kind == "pair" else 0.0) for _ in effects)
-                design = replace(design, effects=effects, targets=targets, substitutes=tuple(others))
+                targets = tuple(target(effect, RECORDED_DETECTABLE if kind == "pair" else 0.0) for effect in effects)
+                same_runs = tier.excitation == BEFORE_AFTER and next_same_runs()
+                design = replace(design, effects=effects, targets=targets, substitutes=tuple(others), same_runs=same_runs)
             yield design
 
 
@@ -274,17 +330,29 @@ def _numbers(shares: Mapping[str, float], count: int) -> list[tuple[Kind, int]]:
 
 
 def _targets(ranges: Mapping[str, tuple[float, float]], rng: np.random.Generator) -> Callable[..., float]:
-    """Return a function that draws a target from each stratum in turn, from those above a least one if it is given."""
-    strata = itertools.cycle(ranges.values())
+    """Return a function that draws a target for an effect, from those above a least one if it is given.
 
-    def target(least: float = 0.0) -> float:
-        low, high = next((low, high) for low, high in strata if high >= least)
+    Each effect has the strata in turn, and as many effects begin with one as with another.
+    """
+    strata = list(ranges.values())
+    begin = _turns(range(len(strata)), rng)
+    turns: dict[str, Iterator[tuple[float, float]]] = {}
+
+    def target(effect: str, least: float = 0.0) -> float:
+        if effect not in turns:
+            place = begin()
+            turns[effect] = itertools.cycle([*strata[place:], *strata[:place]])
+        low, high = next((low, high) for low, high in turns[effect] if high >= least)
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
     return target
 
 
-def _turns(names: Sequence[str], rng: np.random.Generator) -> Callable[[], str]:
-    """Return a function that gives the names in a random order, again and again."""
-    order = itertools.cycle(rng.permutation(names))
-    return lambda: str(next(order))
+def _turns(items: Sequence[T], rng: np.random.Generator) -> Callable[[], T]:
+    """Return a function that gives the items again and again, each time in another random order."""
+
+    def in_turn() -> Iterator[T]:
+        while True:
+            yield from (items[place] for place in rng.permutation(len(items)))
+
+    return in_turn().__next__

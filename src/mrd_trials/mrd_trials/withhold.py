@@ -7,10 +7,11 @@ from mrd_base.progress import ignore
 from mrd_sim.effects import EFFECTS
 from mrd_trials.parallel import run_in_processes
 from mrd_trials.records import GroundTruth, Submission, complete_records
-from mrd_trials.run import read_verdicts
+from mrd_trials.run import read_recordings, read_verdicts
+from mrd_trials.scoring.plant_result import members_of
 from mrd_trials.submission import diagnose_plant, installed_diagnoser, reserve_folder
 from mrd_trials.trial_design import is_detectable
-from mrd_trials.trial_folder import PublicPlant, read_given_runs, read_trial
+from mrd_trials.trial_folder import PublicPlant, read_trial
 
 WITHHELD_FILE = "withheld.jsonl"
 
@@ -63,17 +64,34 @@ def withhold_effects(
 
 
 def withheld_table(answers: Mapping[str, GroundTruth], submissions: Mapping[str, Submission]) -> str:
-    """Return a table in Markdown of what was named where the true effect could not be."""
+    """Return a table in Markdown of what was named where the true effect could not be.
+
+    What the form of a damper contains is neither right nor wrong, so it is left out.
+    """
     lines = ["| effect withheld | signal to floor | verdict | named | resembles |", "|" + "---|" * 5]
+    wrong = 0
     for plant, submission in sorted(submissions.items(), key=lambda item: answers[item[0]].causes):
         truth = answers[plant]
-        named = ", ".join(f"`{cause.effects[0]}`" for cause in submission.causes) or "–"
+        claims = [claim for claim in submission.causes if not set(truth.implied) & set(members_of(claim))]
+        wrong += bool(claims)
+        verdict = f"failed: {submission.failure}" if submission.failure else submission.verdict
+        named = ", ".join(f"`{claim.effects[0]}`" for claim in claims) or "–"
         nearest = ", ".join(f"`{effect}`" for effect in submission.nearest) or "–"
-        lines.append(f"| `{truth.causes[0]}` | {truth.signal_to_floor:.1f} | {submission.verdict} | {named} | {nearest} |")
-    wrong = sum(bool(submission.causes) for submission in submissions.values())
-    return "\n".join([*lines, "", f"An effect is named, wrongly, for {wrong} of {len(submissions)} plants."])
+        lines.append(f"| `{truth.causes[0]}` | {truth.signal_to_floor:.1f} | {verdict} | {named} | {nearest} |")
+    failed = sum(submission.verdict == "failed" for submission in submissions.values())
+    diagnosed = len(submissions) - failed
+    return "\n".join(
+        [*lines, "", f"An effect is named, wrongly, for {wrong} of {diagnosed} plants; the diagnosis failed on {failed}."]
+    )
+
+
+def catalogue_without(effect: str) -> list[str]:
+    """Return the effects that are tried where one is withheld; recordings alone cannot show a change."""
+    return [name for name, entry in EFFECTS.items() if name != effect and not entry.only_as_change]
 
 
 def _diagnose_without(folder: Path, plant: PublicPlant, effect: str) -> Submission:
-    rest = [name for name in EFFECTS if name != effect]
-    return diagnose_plant(plant, read_given_runs(folder, plant), effects=rest)
+    read = read_recordings(folder, plant)
+    if isinstance(read, Submission):
+        return read
+    return diagnose_plant(plant, read[0], effects=catalogue_without(effect))

@@ -145,14 +145,15 @@ def driven(run):
     return BenchCommand(t, np.interp(t, run.time, run.position), np.full_like(t, run.current[0]), exact=True)
 
 
-def test_a_transducer_reads_zero_in_the_middle_of_the_motion_wherever_the_recordings_have_theirs(measured):
-    """Once, the curve was counted from an end of the motion, where no reading belongs to a position."""
+@pytest.mark.parametrize(("effect", "formula"), FORMULAS)
+def test_positions_count_from_the_middle_of_the_strokes_wherever_the_recordings_have_their_zero(measured, effect, formula):
+    """Once, end stops acted on one side only, and the curve of a transducer began where no reading belongs to a position."""
     moved = [replace(run, position=run.position + 0.045) for run in measured]
-    for formula in EFFECTS["lvdt_nonlinearity"].formulas:
-        effects, formulas = {"lvdt_nonlinearity": {"gain": 0.08, "curve": -0.04}}, {"lvdt_nonlinearity": formula.id}
-        here, there = (alter(runs, effects, formulas, np.random.default_rng(0)) for runs in (measured, moved))
-        for one, other in zip(here, there, strict=True):
-            np.testing.assert_allclose(other.position - one.position, 0.045, atol=1e-9)
+    effects, formulas = typical(effect, formula), {effect: formula}
+    here, there = (alter(runs, effects, formulas, np.random.default_rng(0)) for runs in (measured, moved))
+    for one, other in zip(here, there, strict=True):
+        np.testing.assert_allclose(other.position - one.position, 0.045, atol=1e-9)
+        np.testing.assert_allclose(other.force, one.force, atol=1e-6)
 
 
 def test_heat_and_travel_carry_over_from_run_to_run(measured):

@@ -9,8 +9,13 @@ import pytest
 from mrd_base import InputError
 from mrd_diagnosis.decision.presence import PresenceModel
 from mrd_diagnosis.evidence.evidence import EVIDENCE
+from mrd_trials.cli.learn import work
+from mrd_trials.cli.options import default_answers
 from mrd_trials.learn import Row, learn, rows_of, set_share
-from mrd_trials.records import GroundTruth, Submission, WeighedEffect
+from mrd_trials.records import GroundTruth, Submission, WeighedEffect, append_record
+from mrd_trials.submission import installed_diagnoser, reserve_folder
+from mrd_trials.trial_design import Recipe
+from mrd_trials.trial_folder import PublicTrial, write_trial
 
 NAMES = [entry.name for entry in EVIDENCE]
 AGAINST = {entry.name for entry in EVIDENCE if entry.against}
@@ -127,11 +132,15 @@ def test_what_nobody_knows_is_not_counted():
         "p1": truth("p1", (), excitation="semireal", kind="null"),
         "p2": truth("p2", ("end_stop",), excitation="semireal", background="p1"),
         "p3": truth("p3", ("end_stop",), implied=("shear_thinning",)),
+        "p4": truth("p4", ("joint_play",), excitation="semireal", background="p1"),
     }
     submissions = {
         "p1": Submission("p1", "x", weighed=(weighed("backlash"),)),
         "p2": Submission("p2", "x", weighed=(weighed("backlash"), weighed("end_stop"), weighed("gas_spring"))),
         "p3": Submission("p3", "x", weighed=(weighed("shear_thinning"), weighed("backlash"))),
+        "p4": Submission(
+            "p4", "x", weighed=(weighed("joint_play", "backlash"),)
+        ),  # right, but the untouched runs had it too
     }
     failed = submissions | {"p1": Submission("p1", "failed")}
     assert [row.weighed.effect for row in rows_of(answers, failed)] == ["backlash"]
@@ -141,3 +150,24 @@ def test_what_nobody_knows_is_not_counted():
         ("gas_spring", False),
         ("backlash", False),
     ]
+
+
+@pytest.mark.parametrize(
+    ("family", "versions", "message"),
+    [
+        ("evaluation", ("1", "1"), "family evaluation, on which nothing may be tuned"),
+        ("development", ("1", "2"), "verdicts_1: holds verdicts of another diagnoser than .*verdicts_0"),
+    ],
+)
+def test_trials_that_nothing_may_be_learnt_from_are_refused(tmp_path, monkeypatch, family, versions, message):
+    arguments = ["learn", "--output", str(tmp_path / "presence.json")]
+    for number, version in enumerate(versions):
+        folder, verdicts = tmp_path / f"trial_{number}", tmp_path / f"verdicts_{number}"
+        folder.mkdir()
+        write_trial(PublicTrial(Recipe(number, {}, family=family), ()), folder)
+        append_record(truth("p1", ()), default_answers(folder))
+        reserve_folder(replace(installed_diagnoser(), version=version), verdicts)
+        arguments += ["--trial", str(folder), str(verdicts)]
+    monkeypatch.setattr("sys.argv", arguments)
+    with pytest.raises(InputError, match=message):
+        work()

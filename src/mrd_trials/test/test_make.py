@@ -14,7 +14,7 @@ from mrd_trials.make import make_plant, make_trial
 from mrd_trials.records import GroundTruth, read_records
 from mrd_trials.trial_design import PlantDesign, Recipe, design_trial
 from mrd_trials.trial_folder import read_fresh_runs, read_given_runs, read_trial
-from mrd_trials.truth import EFFECTS
+from mrd_trials.truth import EFFECTS, TrueInstruments, TruePlant, draw_parameters
 
 SMALL = Recipe(3, {"sine@100": 2}, {"null": 0.5, "single": 0.5, "pair": 0.0, "absent": 0.0})
 
@@ -92,6 +92,15 @@ def test_an_undetectable_effect_of_a_pair_is_substituted():
     assert truth.signal_to_floor > 3.0
 
 
+def test_the_simulator_of_a_black_box_has_no_parameter_of_the_damper_exactly():
+    plant = TruePlant("spencer", draw_parameters("spencer", np.random.default_rng(1)))
+    simulator, again = (BenchSession((), (), TrueInstruments(100.0), plant, 0, 0, seed).simulator for seed in (3, 3))
+    assert simulator == again
+    off = [value / plant.parameters[name] - 1.0 for name, value in simulator.parameters.items()]
+    assert simulator.parameters.keys() == plant.parameters.keys()
+    assert 0.0 < np.abs(off).min() < np.abs(off).max() < 0.05
+
+
 @pytest.mark.slow
 def test_effects_beside_a_black_box_are_as_strong_over_its_own_noise_as_their_target():
     design = PlantDesign("p0001", "single", parse_tier("black_box@100"), (5, 1), "dahl", ("force_sensor_lag",), (5.0,))
@@ -109,7 +118,7 @@ def test_effects_beside_a_black_box_are_as_strong_over_its_own_noise_as_their_ta
     strength_of = session.strength_beside_simulator()
     assert strength_of({}) == 0.0
     # The damper's own stiffness does what a linear spring of gas does.
-    spring = {"gas_spring": {"stiffness": 2000.0, "curvature": 5.0}}
+    spring = {"gas_spring": {"stiffness": 2500.0, "curvature": 5.0}}
     added = [run.force - other.force for run, other in zip(session.given_runs(spring), quiet, strict=True)]
     assert np.sum(np.square([np.std(force) for force in added])) > 10.0 * np.sum(np.square(noise))
     assert strength_of(spring) < 0.5
@@ -119,8 +128,8 @@ def test_a_folder_that_is_not_a_trial_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"is not a trial, expected trial\.json"):
         read_trial(tmp_path)
     (tmp_path / "trial.json").write_text("{}")
-    with pytest.raises(InputError, match=r"does not describe a trial \(format 1, expected 5\)"):
+    with pytest.raises(InputError, match=r"does not describe a trial \(format 1, expected 6\)"):
         read_trial(tmp_path)
-    (tmp_path / "trial.json").write_text('{"format": 3}')
+    (tmp_path / "trial.json").write_text('{"format": 5}')
     with pytest.raises(InputError, match="does not describe a trial"):
         read_trial(tmp_path)

@@ -56,7 +56,7 @@ def trial(recordings, tmp_path_factory):
     """A trial of four plants of each tier, with its answers."""
     folder = tmp_path_factory.mktemp("trial")
     path = folder.with_name("answers.jsonl")
-    assert make_trial(Recipe(5, {SEMIREAL: 4, BEFORE_AFTER: 4}, SHARES, str(recordings)), folder, path) == []
+    assert make_trial(Recipe(3, {SEMIREAL: 4, BEFORE_AFTER: 4}, SHARES, str(recordings)), folder, path) == []
     return folder, open_answers(path, read_trial(folder).commitments)
 
 
@@ -110,14 +110,15 @@ def test_altered_plants_have_the_recordings_of_an_untouched_one(trial):
         one, other = (
             [name_of(run) for run in read_given_runs(folder, plants[name])] for name in (truth.plant, truth.background)
         )
-        assert one == other
+        # A comparison of the same runs has those of the reference; an untouched one always compares different runs.
+        assert one == other or one == [name_of(run) for run in read_reference_runs(folder, plants[truth.plant])]
         assert truth.stratum in ("10-25 %", "25-50 %", "50-75 %")
         assert truth.signal_to_floor > 0.1
     assert {truth.model for truth in altered} == set(RECORDED_MODELS)
     assert all(not truth.background for truth in answers.values() if truth.kind == "null")
 
 
-def test_what_is_compared_is_untouched_and_half_of_it_shares_no_run(trial, recordings):
+def test_what_is_compared_is_untouched_and_shares_no_run_but_for_half_of_the_altered_plants(trial, recordings):
     folder, answers = trial
     shared = []
     for plant in read_trial(folder).plants:
@@ -128,8 +129,8 @@ def test_what_is_compared_is_untouched_and_half_of_it_shares_no_run(trial, recor
         if before:
             after = {name_of(run) for run in read_given_runs(folder, plant)}
             assert after == {name_of(run) for run in before} or after.isdisjoint(name_of(run) for run in before)
-            shared.append(not after.isdisjoint(name_of(run) for run in before))
-    assert sorted(shared) == [False, False, True, True]
+            shared.append((answers[plant.plant].kind, not after.isdisjoint(name_of(run) for run in before)))
+    assert sorted(shared) == [("null", False), ("null", False), ("single", False), ("single", True)]
 
 
 def test_halves_share_no_run_and_are_alike():
@@ -211,8 +212,8 @@ def test_another_method_can_diagnose_and_is_scored(trial, tmp_path):
     for text in (markdown_tables(score), write_score_report(score, tmp_path).read_text()):
         assert "Goals, measured recordings" in text
     # Nothing was corrected, so nothing of what was added is closed.
-    assert len(semireal.relative_closure.values) == 1
-    assert abs(semireal.relative_closure.median) < 0.05
+    assert semireal.relative_closure.values
+    assert np.abs(semireal.relative_closure.values).max() < 0.05
 
 
 def test_evaluations_follow_the_submissions(trial, tmp_path, monkeypatch):

@@ -87,8 +87,9 @@ def test_every_plant_is_diagnosed_around_a_model_that_is_asked_for(trial, tmp_pa
     run_trial(trial, tmp_path / "own", DIAGNOSER, method=method)
     run_trial(trial, tmp_path / "asked", replace(DIAGNOSER, model="sigmoid"), method=method)
     assert models == ["bouc_wen", "bouc_wen", "sigmoid", "sigmoid"]
-    with pytest.raises(InputError, match="holds verdicts of another diagnoser"):
-        run_trial(trial, tmp_path / "asked", DIAGNOSER, method=method)
+    for other, by in ((DIAGNOSER, method), (replace(DIAGNOSER, model="sigmoid"), refuse_nothing)):
+        with pytest.raises(InputError, match="holds verdicts of another diagnoser"):
+            run_trial(trial, tmp_path / "asked", other, method=by)
     monkeypatch.setattr("sys.argv", ["score", str(trial), str(tmp_path / "asked")])
     with pytest.raises(InputError, match=r"asked: holds verdicts around sigmoid, .*name such a folder after --around"):
         work()

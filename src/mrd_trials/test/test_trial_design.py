@@ -1,13 +1,13 @@
 """The design of a trial: shares of the kinds, turns of the effects, the same plants from the same seed."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import replace
 
 import pytest
 
 from mrd_base import InputError
 from mrd_trials.bench_session import BenchSession
-from mrd_trials.trial_design import Recipe, design_trial, stratum
+from mrd_trials.trial_design import LEAST_RECORDINGS, Recipe, design_trial, stratum, with_recordings
 from mrd_trials.truth import DAMPER_FORMS, EFFECTS
 
 
@@ -31,6 +31,67 @@ def test_every_kind_has_its_share_and_every_effect_its_turn():
         forms = [design.form for design in rich if design.kind == kind]
         assert sum(form != "bouc_wen" for form in forms) == len(forms) // 2, kind
     assert all(len(set(design.effects)) == 2 for design in rich if design.kind == "pair")
+
+
+def recordings(folder, **numbers):
+    """Write recordings of some dampers; a design reads no more than their names."""
+    for damper, number in numbers.items():
+        (folder / damper).mkdir()
+        for place in range(number):
+            (folder / damper / f"run_{place}.csv").write_text(f"{damper} {place}")
+    return str(folder)
+
+
+@pytest.mark.parametrize("tier", ["rich@500", "semireal"])
+def test_every_effect_comes_at_several_strengths_and_all_strengths_equally_often(tier, tmp_path):
+    shares = {"null": 0.1, "single": 0.9, "pair": 0.0, "absent": 0.0}
+    designs, _ = design_trial(Recipe(1, {tier: 180}, shares, recordings(tmp_path, press=10, rig=10, bench=10)))
+    strata, dampers = defaultdict(set), defaultdict(set)
+    singles = [design for design in designs if design.kind == "single"]
+    for design in singles:
+        strata[design.effects[0]].add(stratum(design.targets[0], design.tier.excitation))
+        dampers[design.effects[0]].add(design.damper or design.form)
+    assert {len(names) for names in strata.values()} == {3}
+    assert min(len(names) for names in dampers.values()) > 1
+    numbers = Counter(stratum(design.targets[0], design.tier.excitation) for design in singles).values()
+    assert max(numbers) - min(numbers) <= 0.1 * len(singles)
+
+
+@pytest.mark.parametrize("dampers", [("press",), ("press", "rig"), ("press", "rig", "bench")])
+def test_models_and_kinds_of_comparison_are_balanced_and_tied_to_nothing(dampers, tmp_path):
+    shares = {"null": 0.1, "single": 0.9, "pair": 0.0, "absent": 0.0}
+    recipe = Recipe(1, {"semireal": 40, "before_after": 40}, shares, recordings(tmp_path, **dict.fromkeys(dampers, 10)))
+    designs, _ = design_trial(recipe)
+    assert Counter(design.model for design in designs).most_common()[0][1] == 40
+    compared = [design for design in designs if design.tier.excitation == "before_after"]
+    assert not any(design.same_runs for design in designs if design.kind == "null" or design not in compared)
+    kinds = Counter(design.same_runs for design in compared if design.kind == "single")
+    assert kinds == {True: 18, False: 18}
+    for of_plant in ("damper", "model", "background"):
+        both = Counter((getattr(design, of_plant), design.same_runs) for design in compared if design.kind == "single")
+        assert len(both) == 2 * len({value for value, _ in both}), of_plant
+    # Backgrounds of equal number share nothing across tiers.
+    assert len({design.size for design in designs}) == 8
+
+
+def test_a_damper_with_few_recordings_is_left_out_of_the_tiers_that_divide_them(tmp_path):
+    folder = recordings(tmp_path, press=LEAST_RECORDINGS, few=3)
+    designs, left_out = design_trial(Recipe(1, {"semireal": 4, "replay": 2}, recorded=folder))
+    assert {design.damper for design in designs if design.tier.excitation == "semireal"} == {"press"}
+    assert {design.damper for design in designs if design.tier.excitation == "replay"} == {"press", "few"}
+    assert left_out == ["damper few in the tier semireal: has 3 recordings, expected 6 at least"]
+
+
+def test_other_recordings_than_those_of_the_trial_are_refused(tmp_path, monkeypatch):
+    recordings(tmp_path, press=8, rig=8)
+    monkeypatch.chdir(tmp_path)
+    recipe = with_recordings(Recipe(1, {"semireal": 4}, recorded="."))
+    monkeypatch.chdir(tmp_path.parent)
+    design_trial(recipe)
+    (tmp_path / "press" / "run_0.csv").write_text("other")
+    (tmp_path / "rig").rename(tmp_path / "bench")
+    with pytest.raises(InputError, match=r"of bench, press, rig are not those of the trial, .* press, rig as"):
+        design_trial(recipe)
 
 
 def test_the_same_recipe_gives_the_same_plants_and_another_seed_others():

@@ -5,11 +5,12 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from mrd_base import run_tool
+from mrd_base import InputError, run_tool
 from mrd_trials.cli.options import default_answers
 from mrd_trials.commitments import open_answers
 from mrd_trials.learn import Row, learn, rows_of
 from mrd_trials.run import VERDICTS_FILE, read_verdicts
+from mrd_trials.submission import DIAGNOSER_FILE, diagnoser_of_verdicts
 from mrd_trials.trial_folder import read_trial
 
 
@@ -40,12 +41,22 @@ def work() -> None:
     arguments = parser.parse_args()
     rows: list[Row] = []
     recipes = []
+    diagnosers = {verdicts: diagnoser_of_verdicts(verdicts) for _, verdicts in arguments.trial}
     for folder, verdicts in arguments.trial:
         trial = read_trial(folder)
+        if trial.recipe.family == "evaluation":
+            raise InputError(
+                f"{folder}: has plants of the family evaluation, on which nothing may be tuned; learn from others"
+            )
+        if diagnosers[verdicts] != next(iter(diagnosers.values())):
+            raise InputError(
+                f"{verdicts}: holds verdicts of another diagnoser than {next(iter(diagnosers))}, see {DIAGNOSER_FILE}; "
+                "diagnose all trials with the same version and options"
+            )
         answers = open_answers(default_answers(folder), trial.commitments)
         submissions = read_verdicts(verdicts / VERDICTS_FILE, trial.plants)
         rows += rows_of(answers, submissions)
-        recipe = {name: value for name, value in asdict(trial.recipe).items() if name != "recorded"}
+        recipe = {name: value for name, value in asdict(trial.recipe).items() if name not in ("recorded", "checksums")}
         recipes.append(recipe | {"diagnosed": len(submissions)})
     model = learn(rows, recipes)
     arguments.output.write_text(json.dumps(asdict(model), indent=1) + "\n", encoding="utf-8")

@@ -37,6 +37,12 @@ def read_answers(arguments: argparse.Namespace) -> dict[str, GroundTruth]:
     return open_answers(arguments.answers or default_answers(arguments.trial), read_trial(arguments.trial).commitments)
 
 
+def check_plants(arguments: argparse.Namespace) -> None:
+    """Require that a number of plants is one."""
+    if arguments.plants is not None and arguments.plants < 1:
+        raise InputError(f"--plants is {arguments.plants}, expected a whole number from 1")
+
+
 def add_workers(parser: argparse.ArgumentParser) -> None:
     """Add the option for the number of processes."""
     cores = os.cpu_count() or 1

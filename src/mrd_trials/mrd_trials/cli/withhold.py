@@ -4,7 +4,15 @@ import argparse
 from pathlib import Path
 
 from mrd_base import run_tool
-from mrd_trials.cli.options import add_answers, add_trial, add_workers, checked_workers, progress_bar, read_answers
+from mrd_trials.cli.options import (
+    add_answers,
+    add_trial,
+    add_workers,
+    check_plants,
+    checked_workers,
+    progress_bar,
+    read_answers,
+)
 from mrd_trials.withhold import withheld_table, withhold_effects
 
 
@@ -27,6 +35,7 @@ def work() -> None:
     add_answers(parser)
     add_workers(parser)
     arguments = parser.parse_args()
+    check_plants(arguments)
     answers = read_answers(arguments)
     with progress_bar("diagnosing") as show:
         submissions = withhold_effects(

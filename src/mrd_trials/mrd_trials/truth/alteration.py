@@ -150,28 +150,34 @@ def alter(
         raise ValueError(f"effect {wrong[0]}: cannot be put into a recording, expected one of {', '.join(ALTERATIONS)}")
     p = plant_values("bouc_wen", {}, effects, formulas)
     preload = float(np.mean(np.concatenate([run.force for run in runs])))
-    # A transducer is mounted so that it reads zero in the middle of the motion, wherever the zero of the recordings is.
-    middle = float(np.mean([extreme for run in runs for extreme in (run.position.min(), run.position.max())]))
+    # Stops, springs and transducers are mounted about the middle of the strokes, wherever the zero of the recordings is.
+    middle = middle_of_strokes(runs)
     slow, clock, altered = rested_state(), 0.0, []
     for run in runs:
         step = float((run.time[-1] - run.time[0]) / (len(run.time) - 1))
-        force = _force_on_cell(p, run.position, run.velocity, run.current, run.force - preload, step, slow) + preload
-        force += inertia_force(p, run.position, run.velocity, run.acceleration, step)
-        before, crossing = _crossings(p, run.position, run.velocity, run.acceleration, force, step)
+        rod = run.position - middle
+        force = _force_on_cell(p, rod, run.velocity, run.current, run.force - preload, step, slow) + preload
+        force += inertia_force(p, rod, run.velocity, run.acceleration, step)
+        before, crossing = _crossings(p, run.velocity, run.acceleration, force, step)
         recorded = np.insert(np.arange(len(force)), before, before - 1)
         rests = np.insert(np.zeros(len(force), bool), before, True)
         time = run.time[recorded] + step * np.cumsum(rests)
         force = np.insert(force, before, crossing)
-        position = _shown_by_encoder(p, run.position[recorded] + _elongations(p, force, step))
+        position = _shown_by_encoder(p, rod[recorded] + _elongations(p, force, step))
         force[rests] += _noise(run.force) * rng.standard_normal(len(before))
         force = force_channel(p, force, position, run.current[recorded], clock, time, step)
         force = force + hum(p, time, rng.random())
         current = current_reading(p, clock + time, run.current[recorded])
-        shown = transducer_reading(p, sticking_reading(p, position) - middle) + middle
+        shown = transducer_reading(p, sticking_reading(p, position)) + middle
         altered.append(AlteredRun(time, shown, current, force, recorded))
         clock += time[-1] + REST
         store_heat(p, slow[: FLUID_HEAT + 1], 0.0, REST)
     return altered
+
+
+def middle_of_strokes(runs: Sequence[MeasuredRun]) -> float:
+    """Return the position in m in the middle of the strokes of all runs."""
+    return 0.5 * (max(float(run.position.max()) for run in runs) + min(float(run.position.min()) for run in runs))
 
 
 def _noise(force: Array) -> float:
@@ -231,7 +237,7 @@ def _moved(plays: tuple[float, float], after: tuple[float, float]) -> float:
 
 @njit(nogil=True)
 def _crossings(
-    p: PlantValues, position: Array, velocity: Array, acceleration: Array, force: Array, step: float
+    p: PlantValues, velocity: Array, acceleration: Array, force: Array, step: float
 ) -> tuple[NDArray[np.intp], Array]:
     """Return the samples at which the rod rests while the drive crosses its plays.
 

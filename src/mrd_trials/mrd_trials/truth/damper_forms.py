@@ -184,8 +184,10 @@ DAMPER_FORMS: dict[str, DamperForm] = {
 PARAMETERS = tuple(dict.fromkeys(name for form in DAMPER_FORMS.values() for name in form.nominal))
 
 
-def draw_parameters(form: str, rng: np.random.Generator, spread: float = 0.3) -> dict[str, float]:
-    """Draw the parameters of one damper, each evenly within ``spread`` of its nominal value.
+def draw_parameters(
+    form: str, rng: np.random.Generator, spread: float = 0.3, around: Mapping[str, float] | None = None
+) -> dict[str, float]:
+    """Draw the parameters of one damper, each evenly within ``spread`` of its nominal value, or of that in ``around``.
 
     Raises
     ------
@@ -193,7 +195,7 @@ def draw_parameters(form: str, rng: np.random.Generator, spread: float = 0.3) ->
         When the form is unknown.
     """
     damper = find_form(form)
-    drawn = {name: value * (1.0 + spread * rng.uniform(-1.0, 1.0)) for name, value in damper.nominal.items()}
+    drawn = {name: value * (1.0 + spread * rng.uniform(-1.0, 1.0)) for name, value in (around or damper.nominal).items()}
     return {name: float(np.clip(value, *damper.bounds.get(name, (-np.inf, np.inf)))) for name, value in drawn.items()}
 
 
