@@ -159,15 +159,40 @@ def bootstrap_counts(units: int, rng: np.random.Generator) -> Array:
     return rng.multinomial(units, np.full(units, 1 / units), BOOTSTRAP_SAMPLES).astype(float)
 
 
+def half_width(units: int) -> float:
+    """Return half of a 95 % interval over the standard deviation that the scatter of so many units gives; nan for one unit.
+
+    It is Student's t, times the root of n / (n - 1), by which the deviation within a sample is too small.
+    """
+    return float(stdtrit(units - 1, 0.975) * np.sqrt(units / (units - 1))) if units > 1 else float("nan")
+
+
+def bootstrap_interval(
+    value: float, drawn: Array, units: int, bounds: tuple[float, float], *, widened: bool = True
+) -> Interval:
+    """Return a value with its 95 % interval within ``bounds``, from what ``drawn`` samples of so many units give; nan is none.
+
+    The quantiles of a bootstrap of few units are too near to the value, and are ``widened`` about it (`half_width`). What
+    decides by an end was tried with the quantiles themselves.
+    """
+    if np.isnan(drawn).all() or (widened and units < 2):
+        return Interval(value)
+    widening = half_width(units) / 1.96 if widened else 1.0
+    ends = value + widening * (np.nanquantile(drawn, (0.025, 0.975)) - value)
+    return Interval(value, *map(float, np.clip(ends, *bounds)))
+
+
 def nrmse_interval(squares: Array, samples: Array, variance: float, draws: Array) -> Interval:
     """Return the rms error over the force's standard deviation, from squared errors in N² (units,) of so many samples."""
     value = np.sqrt(squares.sum() / samples.sum() / variance)
     drawn = np.sqrt((draws @ squares) / (draws @ samples) / variance)
-    return Interval(float(value), *map(float, np.quantile(drawn, (0.025, 0.975))))
+    return bootstrap_interval(float(value), drawn, len(squares), (0.0, np.inf))
 
 
-def closed_fraction(before: Array, after: Array, noise: Array, draws: Array) -> Interval:
-    """Return the share of the gap that is closed, from squared errors in N² (units,) and those of the noise."""
+def closed_fraction(before: Array, after: Array, noise: Array, draws: Array, *, widened: bool = True) -> Interval:
+    """Return the share of the gap that is closed, from squared errors in N² (units,) and those of the noise;
+    ``widened`` as of `bootstrap_interval`.
+    """
 
     def share(b: Array, a: Array, n: Array) -> Array:
         gap = b - n
@@ -177,4 +202,4 @@ def closed_fraction(before: Array, after: Array, noise: Array, draws: Array) -> 
     drawn = share(draws @ before, draws @ after, draws @ noise)
     if np.isnan(drawn).mean() > MOST_WITHOUT_GAP:
         return Interval(value)
-    return Interval(value, *map(float, np.nanquantile(drawn, (0.025, 0.975))))
+    return bootstrap_interval(value, drawn, len(before), (-1.0, 1.0), widened=widened)
