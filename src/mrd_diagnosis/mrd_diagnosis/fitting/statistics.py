@@ -170,7 +170,7 @@ def half_width(units: int) -> float:
 def bootstrap_interval(
     value: float, drawn: Array, units: int, bounds: tuple[float, float], *, widened: bool = True
 ) -> Interval:
-    """Return a value with its 95 % interval within ``bounds``, from what ``drawn`` samples of so many units give; nan is none.
+    """Return a value with its 95 % interval within ``bounds``, from values ``drawn`` from so many units; nan is none.
 
     The quantiles of a bootstrap of few units are too near to the value, and are ``widened`` about it (`half_width`). What
     decides by an end was tried with the quantiles themselves.
