@@ -190,14 +190,16 @@ def plan_scaled(experiment: Experiment, limits: Limits, envelope: ForceEnvelope)
     def attempt(of_motion: int, of_current: int) -> Plan | None:
         motion, current = REDUCTION**of_motion, REDUCTION**of_current
         reduced = " and ".join(
-            f"{name} to {100 * factor:.0f} %" for name, factor in (("motion", motion), ("current", current)) if factor < 1.0
+            f"{name} reduced to {100 * factor:.0f} %"
+            for name, factor in (("motion", motion), ("current", current))
+            if factor < 1.0
         )
         said = experiment.description
         scaled = dataclasses.replace(
             experiment,
             rod=_scaled(experiment.rod, motion),
             coil=_scaled(experiment.coil, current),
-            description=f"{said} ({reduced}, to keep the limits)" if said and reduced else said,
+            description=f"{said} ({reduced} to keep the limits)" if said and reduced else said,
         )
         try:
             return plan(scaled, limits, envelope)

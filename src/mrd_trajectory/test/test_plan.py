@@ -422,7 +422,7 @@ def test_a_current_beyond_its_limit_leaves_the_motion_as_it_is():
         replace(ENVELOPE, yield_slope=1.0, viscosity_slope=0.0),
     )
     assert planned.experiment.rod == rod
-    assert planned.experiment.description == "a sine of 10 mm (current to 64 %, to keep the limits)"
+    assert planned.experiment.description == "a sine of 10 mm (current reduced to 64 % to keep the limits)"
     assert planned.experiment.coil.levels == (0.0, 0.8**2 * 1.5 * LIMITS.current_max)
 
 
