@@ -61,7 +61,8 @@ def localise(recordings: Sequence[Recording], noise: Sequence[RunNoise], residua
     independent units with symmetric errors, its tails are below those of a normal variable, however unequal the units are
     (Efron 1969). The false-discovery rate over all bins is controlled after Benjamini & Hochberg (1995). Excess within
     `Thresholds.noise_variance_error` of the noise variance is not counted. With 3 to 30 units, simulated without a
-    place, the test alarms less often than its p-value says. Intervals are those of a ratio of sums over independent units, by Student's t.
+    place, the test alarms no more often than its p-value says. Intervals are those of a ratio of sums over independent
+    units, by Student's t.
     """
     regions: list[Region] = []
     p_values: list[float] = []
