@@ -11,6 +11,7 @@ from mrd_diagnosis.fitting.refit import Refit, scaled_inverse
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.least_squares import BOUND_TOLERANCE
 from mrd_identification.residual_correlation import correlation_length
+from mrd_identification.uncertainty import half_width
 from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]
@@ -159,21 +160,13 @@ def bootstrap_counts(units: int, rng: np.random.Generator) -> Array:
     return rng.multinomial(units, np.full(units, 1 / units), BOOTSTRAP_SAMPLES).astype(float)
 
 
-def half_width(units: int) -> float:
-    """Return half of a 95 % interval over the standard deviation that the scatter of so many units gives; nan for one unit.
-
-    It is Student's t, times the root of n / (n - 1), by which the deviation within a sample is too small.
-    """
-    return float(stdtrit(units - 1, 0.975) * np.sqrt(units / (units - 1))) if units > 1 else float("nan")
-
-
 def bootstrap_interval(
     value: float, drawn: Array, units: int, bounds: tuple[float, float], *, widened: bool = True
 ) -> Interval:
     """Return a value with its 95 % interval within ``bounds``, from values ``drawn`` from so many units; nan is none.
 
-    The quantiles of a bootstrap of few units are too near to the value, and are ``widened`` about it (`half_width`). What
-    decides by an end was tried with the quantiles themselves.
+    The quantiles of a bootstrap of few units are too near to the value, and are ``widened`` about it
+    (`mrd_identification.uncertainty.half_width`). What decides by an end was tried with the quantiles themselves.
     """
     if np.isnan(drawn).all() or (widened and units < 2):
         return Interval(value)

@@ -9,13 +9,13 @@ from scipy.special import ndtr
 from scipy.stats import false_discovery_control
 
 from mrd_diagnosis.diagnosis import Interval, Region, RunNoise
-from mrd_diagnosis.fitting.statistics import half_width
 from mrd_diagnosis.localisation.axis_bins import NEAR_LABELS, PLACES
 from mrd_diagnosis.localisation.excess_tables import ExcessTable, excess_tables
 from mrd_diagnosis.localisation.oscillation import highest_frequency_of_motion
 from mrd_diagnosis.localisation.units import BETWEEN_UNITS
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.recording import Recording
+from mrd_identification.uncertainty import half_width
 
 Array = NDArray[np.float64]
 

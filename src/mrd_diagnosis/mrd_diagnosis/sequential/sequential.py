@@ -224,10 +224,10 @@ def _ending(diagnosis: Diagnosis, asked: Sequence[Plan], left: float) -> tuple[E
             return "nothing_separates", f"No recording of this bench would separate what is open. {advice.text}"
         if diagnosis.causes:
             found = "The cause" if len(diagnosis.causes) == 1 else "The least likely of the causes"
-            left = ""
+            rest = ""
             if diagnosis.verdict == "partly_explained" and diagnosis.gap is not None:
-                left = f"; {format_share(open_share(diagnosis.gap))} of the gap stays open"
-            return "cause_known", f"{found} has {probability_clause(least_probability(diagnosis))}{left}."
+                rest = f"; {format_share(open_share(diagnosis.gap))} of the gap stays open"
+            return "cause_known", f"{found} has {probability_clause(least_probability(diagnosis))}{rest}."
         return "not_in_catalogue", _without_cause(diagnosis)
     duration = sum(planned.duration for planned in asked)
     if duration > left:
