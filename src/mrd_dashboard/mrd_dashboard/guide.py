@@ -14,7 +14,7 @@ from mrd_dashboard.jobs import Job
 from mrd_dashboard.kept_file import keep, read_kept
 from mrd_diagnosis.closure.closure import exceeded_ranges
 from mrd_diagnosis.report.gap_file import read_gap_report
-from mrd_diagnosis.report.validation_page import NEAR_NOISE
+from mrd_diagnosis.thresholds import is_noise
 from mrd_identification.correction import correction_of_report
 from mrd_identification.fit_file import read_fit
 from mrd_identification.parallel import in_threads
@@ -290,7 +290,7 @@ def judge_prediction(validation: Path, diagnosis: Path, sentence: str) -> tuple[
         return False, f"The recordings do not tell whether the damper predicts them. {sentence}"
     what = f"The simulator corrected by {', '.join(found['effects'])}" if corrected else f"The fitted {found['model']}"
     runs = ", ".join(run["name"] for run in found["runs"])
-    noise = floor is not None and error <= NEAR_NOISE * floor
+    noise = floor is not None and is_noise(error, floor)
     passed = noise or error <= AS_GOOD * expected
     verb = "predicts" if passed else "does not predict"
     why = "hardly more than noise" if noise else f"and {100 * expected:.3g} % on what was left out of the fits before"

@@ -134,6 +134,7 @@ def _gap(start: Start, weighting: Weighting, closure: Closure, location: _Locati
         location.explainable,
         closure.extrapolated,
         form_fraction,
+        closure.is_worse,
     )
 
 

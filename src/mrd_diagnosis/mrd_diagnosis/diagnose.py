@@ -204,7 +204,7 @@ def _diagnose_physics(start: Start, candidates: Sequence[str], findings: tuple[F
     conclusion = conclude(fitted.explanation, fitted.complete, findings, of_clocks, rng, start.in_loop)
     if conclusion.explanation.verdict != "data_fault":
         diagnosis = describe(start, request, findings, fit, fitted, conclusion, rng)
-        if diagnosis.causes and diagnosis.gap is not None and diagnosis.gap.closed_fraction.upper < 0.0:
+        if diagnosis.causes and diagnosis.gap is not None and diagnosis.gap.is_worse:
             conclusion = worse_by_runs(conclusion)
             diagnosis = describe(start, request, findings, fit, fitted, conclusion, rng)
     if conclusion.explanation.verdict == "data_fault":

@@ -383,6 +383,8 @@ class Gap:
     form_fraction : float
         Share of the gap that a freer form of the damper model would close beside the causes, on held-out data; nan where it
         was not computed, because the causes explain the gap.
+    is_worse : bool
+        Whether whole runs are surely predicted worse with the causes.
     """
 
     noise_floor: Interval
@@ -393,6 +395,7 @@ class Gap:
     explainable_fraction: float = float("nan")
     extrapolated: Interval | None = None
     form_fraction: float = float("nan")
+    is_worse: bool = False
 
 
 @dataclass(frozen=True)

@@ -243,6 +243,11 @@ class Thresholds:
 THRESHOLDS = Thresholds()
 
 
+def is_noise(error: float, noise_floor: float) -> bool:
+    """Whether noise alone may explain an error; both are rms errors of the same unit."""
+    return error**2 <= THRESHOLDS.noise_chi_square * noise_floor**2
+
+
 def markdown_table() -> str:
     """Return the thresholds as the table that stands in `docs/diagnosis.md`."""
     rows = ["| threshold | value | meaning | chosen on |", "|---|---|---|---|"]

@@ -291,7 +291,7 @@ def test_at_one_speed_another_damper_model_is_not_taken_for_an_effect(model):
     [(0.7, 0.1, "explained"), (0.45, 0.1, "unknown_effect"), (0.7, 0.25, "unknown_effect"), (0.8, 0.25, "explained")],
 )
 def test_little_more_than_noise_needs_only_half_of_the_gap_to_be_closed(closes, left, verdict, monkeypatch):
-    monkeypatch.setattr(rules_of_verdict, "closed_fraction_between", lambda *_: Interval(closes, closes, closes))
+    monkeypatch.setattr(rules_of_verdict, "closed_fraction_between", lambda *_, **__: Interval(closes, closes, closes))
     comparison = SimpleNamespace(
         best=SimpleNamespace(chi_square=1.0 + left, held_out_chi_squares=np.full(8, 100.0 * (1.0 + left))),
         base=SimpleNamespace(chi_square=2.0),

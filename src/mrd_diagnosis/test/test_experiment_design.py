@@ -239,6 +239,8 @@ def test_advice_keeps_within_the_limits_of_the_users_bench(alike, experiments, m
     assert benches == [weak]
     assert advice.experiment == ""
     assert "No experiment that can be advised is safe: each would exceed 100 N" in advice.text
+    monkeypatch.setattr(advice_module, "library", lambda *_: PLAIN)
+    assert advise(refits, weighting).text.startswith("Every experiment that fits this bench is recorded already.")
 
 
 def test_runs_at_one_current_leave_the_slopes_over_current_open():

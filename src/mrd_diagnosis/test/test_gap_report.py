@@ -500,6 +500,28 @@ def test_candidates_are_shown_in_the_order_of_the_columns():
     assert removed == sorted(removed, reverse=True)
 
 
+def test_that_nothing_was_extrapolated_is_said_only_where_no_run_goes_beyond_the_others():
+    diagnosis = diagnosed("explained")
+    diagnosis = replace(diagnosis, gap=replace(diagnosis.gap, extrapolated=None))
+    within = tuple(replace(residual, extrapolates="") for residual in diagnosis.residuals)
+    for residuals, is_said in ((within, True), (diagnosis.residuals, False), (within[:1], False)):
+        notes = page_content(replace(diagnosis, residuals=residuals))["comparison"]["error_notes"]
+        assert any(note.startswith("No run exceeds the others") for note in notes) is is_said
+
+
+def test_a_check_that_finds_nothing_is_a_lower_bound():
+    diagnosis = diagnosed("unknown_effect")
+    diagnosis = replace(diagnosis, gap=replace(diagnosis.gap, explainable_fraction=0.0))
+    assert any(note.endswith("it is a lower bound.") for note in page_content(diagnosis)["comparison"]["error_notes"])
+
+
+@pytest.mark.parametrize(("offset", "text"), [(0.0012, "+1.2 mN"), (-3.25, "\u22123.25 N"), (0.0, "0 N")])
+def test_small_offsets_keep_their_figures(offset, text):
+    diagnosis = diagnosed("explained")
+    residuals = (replace(diagnosis.residuals[0], offset=offset),)
+    assert page_content(replace(diagnosis, residuals=residuals))["comparison"]["runs"][0]["offset"] == text
+
+
 def test_runs_are_called_held_out_as_they_were():
     diagnosis = diagnosed("explained")
     first, second, third = diagnosis.residuals
@@ -558,7 +580,11 @@ def test_sentences():
     assert no_gap.sentence.endswith("%.")
     # One run is needed for parameters that the others do not show: held out, it errs by far more than the noise.
     needed = with_sentence(diagnosed("no_gap"), gap=replace(gap, as_given=None, before=Interval(5 * gap.noise_floor.value)))
-    assert needed.sentence.endswith("because the others do not determine all parameters.")
+    assert needed.sentence.endswith("where a whole run is held out, because the others do not determine all parameters.")
+    blocks = with_sentence(needed, held_out_by="blocks", gap=replace(needed.gap, as_given=9.0))
+    assert "noise explains" not in blocks.sentence
+    assert blocks.sentence.startswith("The parameters caused the gap.")
+    assert blocks.sentence.endswith("where a segment is held out, because the others do not determine all parameters.")
     assert diagnosed("data_fault").sentence == (
         "Data problem (run multisine_1, force): 42 samples stay at 981 N; widen the range. (1 more problem below.)"
     )
@@ -686,6 +712,8 @@ def test_the_sentence_on_several_causes_and_on_sure_ones():
     both = with_sentence(diagnosis, causes=(certain, *diagnosis.causes)).sentence
     assert "of play and the force channel is late by 12.0 ± 0.6 ms (probability at least 90 % among the 15 effects" in both
     assert "Adding both effects removes" in both
+    alone = with_sentence(diagnosis, candidates=diagnosis.candidates[:1]).sentence
+    assert "(probability 90 %, no other effect was tried)" in alone
     sure = with_sentence(diagnosis, causes=(replace(certain, probability=0.99999),)).sentence
     assert "(probability above 99 % among the 15 effects that were tried)" in sure
 
@@ -1076,7 +1104,11 @@ def test_of_a_class_it_is_said_which_member_was_added():
     (cause,) = diagnosis.causes
     members = (Member(cause.effect, 0.5, 1.0, cause.parameters), Member("force_sensor_lag", 0.4, 0.9, {}))
     of_class = replace(cause, level="class", members=members)
-    assert "Adding delay of the force channel removes " in verdict_sentence(replace(diagnosis, causes=(of_class,)))
+    diagnosis = with_sentence(diagnosis, causes=(of_class,))
+    assert "Adding delay of the force channel removes " in diagnosis.sentence
+    # At the top of the page, the class has the probability that the sentence states.
+    assert "(probability 90 % among" in diagnosis.sentence
+    assert page_content(diagnosis)["comparison"]["headline"][0][0] == "90 %"
 
 
 def test_only_a_cause_in_whose_place_another_may_stand_is_called_unsure():

@@ -8,10 +8,11 @@ import pytest
 from scipy.signal import lfilter
 
 from mrd_diagnosis.diagnosis import Axis, RunNoise
-from mrd_diagnosis.localisation.axis_bins import PLACES, preferred_numbers
+from mrd_diagnosis.localisation.axis_bins import PLACES, Bins, _current_bins, preferred_numbers
 from mrd_diagnosis.localisation.events import travel_since_reversal
 from mrd_diagnosis.localisation.excess_maps import maps
-from mrd_diagnosis.localisation.localise import localise
+from mrd_diagnosis.localisation.excess_tables import ExcessTable
+from mrd_diagnosis.localisation.localise import _regions, localise
 from mrd_diagnosis.localisation.oscillation import find_oscillation
 from mrd_diagnosis.localisation.sentence import headline_place
 from mrd_diagnosis.thresholds import THRESHOLDS
@@ -230,6 +231,18 @@ def test_one_run_has_intervals_and_no_axis_that_does_not_vary():
     assert {r.axis for r in located} == set(get_args(Axis)) - {"run", "current", "step"}
 
 
+def test_the_interval_of_a_share_covers_with_few_units():
+    random, covered = np.random.default_rng(0), 0
+    bins = Bins("run", "", [(0.0, 1.0), (1.0, 2.0)], ["one", "other"])
+    for _ in range(400):
+        of_unit, share = random.lognormal(0.0, 0.4, 4), random.normal(0.7, 0.1, 4)
+        excess = np.column_stack([share * of_unit, (1.0 - share) * of_unit])
+        table = ExcessTable(bins, excess, np.zeros((4, 2)), np.full((4, 2), 100.0))
+        interval = _regions(table)[0][0].share
+        covered += interval.lower < 0.7 < interval.upper
+    assert 360 <= covered <= 395
+
+
 def oscillation_of(recordings, planted):
     noises, drawn = noise_of(recordings)
     return find_oscillation(recordings, noises, [n + p for n, p in zip(drawn, on(recordings, planted), strict=True)])
@@ -288,6 +301,21 @@ def test_edges_are_preferred_numbers_of_the_size_of_the_stroke():
     for scale in (1e-7, 1.0, 1e4):
         np.testing.assert_allclose(preferred_numbers(0.21 * scale, 5), scale * np.array([0.2, 0.5, 1.0, 2.0, 5.0]))
         np.testing.assert_allclose(preferred_numbers(0.95 * scale, 3), scale * np.array([1.0, 2.0, 5.0]))
+
+
+@pytest.mark.parametrize(
+    ("levels", "labels"),
+    [
+        ((0.0, 0.003, 0.006), ("at 0 mA", "at 3 mA", "at 6 mA")),
+        ((0.0, 0.25, 0.5), ("at 0 A", "at 0.25 A", "at 0.5 A")),
+        (np.linspace(0.0, 0.5, 40), ("at up to 0.1 A", "at 0.1 to 0.2 A", "at 0.4 to 0.5 A")),
+    ],
+)
+def test_currents_have_distinct_labels(levels, labels):
+    current = np.repeat(levels, 50) * (1.0 + 1e-4 * np.random.default_rng(0).standard_normal(50 * len(levels)))
+    bins, _ = _current_bins(current, len(levels))
+    assert set(labels) <= set(bins.labels)
+    assert len(set(bins.labels)) == len(bins.labels)
 
 
 def test_maps_show_the_excess(campaign):

@@ -9,10 +9,11 @@ import pytest
 
 from mrd_diagnosis.noise.input_errors import propagated_variance
 from mrd_diagnosis.noise.noise_model import estimate_noise
-from mrd_diagnosis.recordings.repetition import repeating_period
+from mrd_diagnosis.recordings.repetition import repeating_period, runs_repeat
 from mrd_diagnosis.sequential.first_set import first_set
 from mrd_identification.recording import Recording, prepare_recording
 from mrd_runs import make_run, read_run
+from mrd_runs.signals.smoothed_run import SmoothedRun
 from mrd_sim.damper import Damper
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
@@ -157,6 +158,30 @@ def test_repeats_are_recognised() -> None:
     noises = estimate_noise(recordings, DAMPER.model, DAMPER.theta, np.random.default_rng(3))
     assert [noise.source for noise in noises] == ["repeats", "repeats", "periods"]
     assert noises[0].force == pytest.approx(FORCE, rel=0.2)
+
+
+@pytest.mark.parametrize("current", [0.0, 0.3])
+def test_a_repeat_without_current_or_of_another_length_is_recognised(current: float) -> None:
+    def smoothed(seed: int, seconds: float) -> SmoothedRun:
+        run = recorded("sine", seed, seconds=seconds).run
+        return prepare_recording(replace(run, current=np.full(len(run), current))).smoothed
+
+    first = smoothed(1, 12.0)
+    assert runs_repeat(first, smoothed(2, 11.99))
+    assert not runs_repeat(first, smoothed(2, 11.0))
+    assert repeating_period(first) == pytest.approx(1 / 2.3, abs=2e-5)
+
+
+def test_a_change_is_no_noise() -> None:
+    """The damper is more viscous after the change; the model is the one from before."""
+    recordings = []
+    for seed, added in enumerate((0.0, 0.0, 500.0, 500.0)):
+        run = recorded("wander", seed).run
+        recording = prepare_recording(replace(run, force=run.force + added * run.velocity))
+        recordings.append(replace(recording, without_effects=added == 0.0))
+    for noise in estimate_noise(recordings, DAMPER.model, DAMPER.theta, np.random.default_rng(3)):
+        assert noise.source == "repeats"
+        assert noise.force == pytest.approx(FORCE, rel=0.2)
 
 
 def test_blocks_of_one_run_do_not_repeat_each_other() -> None:

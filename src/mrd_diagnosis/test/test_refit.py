@@ -22,6 +22,7 @@ from mrd_diagnosis.fitting.statistics import (
     closed_fraction,
     effect_parameters,
     model_probabilities,
+    nrmse_interval,
     tempering_of,
 )
 from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, sum_of_squares, whitening
@@ -290,6 +291,21 @@ def test_the_closed_fraction_is_a_share_of_the_gap_beyond_noise(share, noise):
     assert closed.value == pytest.approx(share)
     assert closed.lower <= closed.value + 1e-9
     assert closed.upper >= closed.value - 1e-9
+
+
+@pytest.mark.parametrize("units", [4, 8])
+def test_intervals_of_few_units_cover(units):
+    rng, draws = np.random.default_rng(0), 400
+    covered = np.zeros(2)
+    for _ in range(draws):
+        gap, noise = rng.lognormal(-0.08, 0.4, units), np.full(units, 0.1)  # its mean is 1
+        share = rng.normal(0.7, 0.15, units)
+        counts = bootstrap_counts(units, rng)
+        error = nrmse_interval(noise + gap, np.ones(units), 1.0, counts)
+        closed = closed_fraction(noise + gap, noise + (1.0 - share) * gap, noise, counts)
+        covered += error.lower < np.sqrt(1.1) < error.upper, closed.lower < 0.7 < closed.upper
+    assert (covered >= 0.9 * draws).all()
+    assert (covered <= 0.98 * draws).all()
 
 
 @pytest.mark.parametrize("averaged", [False, True])

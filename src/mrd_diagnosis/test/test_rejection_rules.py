@@ -314,7 +314,7 @@ def test_the_rules_are_asked_again_when_what_remains_was_fitted_without_the_reje
 
     monkeypatch.setattr(conclusion, "name_causes", causes_of)
     monkeypatch.setattr(conclusion, "harmful_effects", lambda *_: ((), {}))
-    monkeypatch.setattr(conclusion, "closed_fraction_between", lambda *_: Interval(0.6, 0.5, 0.7))
+    monkeypatch.setattr(conclusion, "closed_fraction_between", lambda *_, **__: Interval(0.6, 0.5, 0.7))
     monkeypatch.setattr(conclusion, "refit_on", lambda *_: None)
     monkeypatch.setattr(conclusion, "refit_without", lambda *_: None)
     monkeypatch.setattr(conclusion, "_with_only", lambda _comparison, effects: chosen(effects))

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_diagnosis.diagnose import diagnose
-from mrd_diagnosis.diagnosis import Advice, Interval, Rejected
+from mrd_diagnosis.diagnosis import Advice, Cause, Gap, Interval, Rejected
 from mrd_diagnosis.experiment_design.experiment_library import Sizes, usual_bench
 from mrd_diagnosis.experiment_design.information import expected_information
 from mrd_diagnosis.experiment_design.separation import Separation
@@ -23,7 +23,7 @@ from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.sequential import recorded, sequential
 from mrd_diagnosis.sequential.first_set import FIRST_SET, first_set
 from mrd_diagnosis.sequential.recorded import folder_of_round, read_later_rounds, read_recorded, set_aside_incomplete
-from mrd_diagnosis.sequential.report import write_sequential_report
+from mrd_diagnosis.sequential.report import ending_clause, write_sequential_report
 from mrd_diagnosis.sequential.sequential import diagnose_sequentially, open_candidates
 from mrd_diagnosis.wording.quantities import probability_clause
 from mrd_runs import Run, read_run
@@ -190,13 +190,13 @@ def test_a_budget_that_the_first_recordings_exceed_is_refused_before_anything_mo
     assert bench.asked == []
 
 
-def record(planned: Plan, folder: Path, share: float = 1.0) -> None:
+def record(planned: Plan, folder: Path, share: float = 1.0, started: str = "") -> None:
     """Write the bag of an experiment, of which a share is recorded."""
     (run,) = measure_plans([planned], Damper("bouc_wen", BOUC_WEN), np.random.default_rng(1))
     count = int(share * len(run))
     columns = {"time_s": run.time, "position_m": run.position, "current_A": run.current, "force_N": run.force}
     kept = {name: values[:count] for name, values in columns.items()}
-    write_bag(kept, [], Path("run.csv"), folder / planned.experiment.name)
+    write_bag(kept, [], Path("run.csv"), folder / planned.experiment.name, {"started": started})
 
 
 def test_what_a_stop_has_cut_is_kept_aside_and_recorded_again_however_often(tmp_path):
@@ -228,6 +228,47 @@ def test_what_is_seen_but_not_determined_stays_a_candidate():
     rejected = entry(LAG, "on_bound", True), entry(DELAY, "on_bound", False), entry("backlash", "little", True)
     diagnosis = SimpleNamespace(causes=(), alternatives=(), rejected=rejected)
     assert open_candidates(diagnosis) == {LAG: 0.7}
+
+
+def test_the_ending_says_what_is_true_of_the_verdict():
+    cause = Cause(LAG, 0.95, 0.01, Interval(0.4), {})
+    gap = Gap(Interval(0.01), Interval(0.1), Interval(0.08), Interval(0.4))
+    single = SimpleNamespace(effects=(LAG,), closed_fraction=Interval(0.12))
+
+    def ended(verdict, causes=(), candidates=(), nearest=None, rejected=()):
+        diagnosis = SimpleNamespace(
+            verdict=verdict,
+            causes=causes,
+            alternatives=(),
+            gap=gap,
+            candidates=candidates,
+            nearest=nearest,
+            rejected=rejected,
+            next_experiment=None,
+        )
+        ending, why = sequential._ending(diagnosis, (), 100.0)
+        return ending_clause(SimpleNamespace(ending=ending, diagnosis=diagnosis)), why
+
+    assert ended("explained", (cause,)) == ("the cause is known", "The cause has a probability of 95 %.")
+    assert ended("partly_explained", (cause,)) == (
+        "the cause of a part of the gap is known",
+        "The cause has a probability of 95 %; 60 % of the gap stays open.",
+    )
+    assert ended("unknown_effect")[1] == "These recordings cannot test any effect of the catalogue."
+    assert ended("unknown_effect", (), (single,))[1].startswith("No effect of the catalogue predicts")
+    clause, why = ended("unknown_effect", (), (single,), single)
+    assert clause == "no effect of the catalogue explains the gap"
+    assert why.endswith("explains the gap. Lag of the force sensor comes nearest: it removes 12 % of it.")
+    seen = Rejected(LAG, "on_bound", "", True, 0.7, 0.01, Interval(0.6), {})
+    assert ended("ambiguous", (), (single,), single, (seen,))[1].startswith("An effect is seen")
+
+
+def test_what_a_round_adds_is_told_without_ruling_out_what_is_unlikely():
+    before, after = {DELAY: 0.5, LAG: 0.4}, {DELAY: 0.9, "gas_spring": 0.06}
+    assert sequential._added(before, after, SimpleNamespace(verdict="explained")) == (
+        "Lag of the force sensor is no longer likely, and gas spring may be the cause as well. "
+        "Delay of the force channel has a probability of 90 %, 50 % before."
+    )
 
 
 def test_recordings_of_later_rounds_count_from_the_first_one_on(monkeypatch):
@@ -283,13 +324,18 @@ def test_a_recording_counts_once():
 
 
 def test_later_rounds_are_read_without_reports_and_what_is_incomplete(tmp_path):
-    first, second, tenth = first_set(BENCH)[:3]
-    for planned, folder in (first, "round_1"), (second, "round_2"), (tenth, "round_10"), (first, "round_2/incomplete"):
+    first, second, tenth, other = first_set(BENCH)
+    recorded_in = (first, "round_1"), (second, "round_2"), (tenth, "round_10"), (first, "round_2/incomplete")
+    for planned, folder in (*recorded_in, (first, "round_2_old")):
         (tmp_path / folder).mkdir(parents=True)
-        record(planned, tmp_path / folder)
+        record(planned, tmp_path / folder, started="2024-05-31T10:00:00+00:00")
+    record(other, tmp_path / "round_2", started="2024-05-31T11:00:00+00:00")
     (tmp_path / "round_2" / "report").mkdir()
+    (tmp_path / "round_3").touch()
     runs, rounds = read_later_rounds(tmp_path)
-    assert [Path(run.info["source"]).name for run in runs] == [second.experiment.name, tenth.experiment.name]
+    names = [Path(run.info["source"]).name for run in runs]
+    assert names == [second.experiment.name, other.experiment.name, tenth.experiment.name]
+    assert names[1] < names[0]
     assert rounds == 9
     assert read_later_rounds(tmp_path / "round_1") == ([], 0)
 

@@ -12,11 +12,13 @@ import pytest
 from mrd_base import InputError
 from mrd_base.json_file import read_schema
 from mrd_diagnosis.cli import trend as tool
+from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.trend.calendar import make_calendar
 from mrd_diagnosis.trend.change_over_dates import change_over_dates
 from mrd_diagnosis.trend.dated_fit import make_dated_problem
+from mrd_diagnosis.trend.sentence import describe_trend
 from mrd_diagnosis.trend.trend import trend
-from mrd_diagnosis.trend.trend_file import to_json, write_trend
+from mrd_diagnosis.trend.trend_file import change_command, to_json, write_trend
 from mrd_diagnosis.trend.trend_line import fit_trend_line
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import prepare_recording
@@ -83,7 +85,7 @@ def test_a_steady_parameter_has_no_trend():
     assert found.line.change is None
     assert found.crossing is None
     assert "shows no trend" in found.sentence
-    assert "no change point" in found.sentence
+    assert "No step or bend is clear" in found.sentence
     assert "cannot be predicted" in found.sentence
     assert found.notes == ()
 
@@ -93,7 +95,8 @@ def test_a_step_is_located():
     assert (found.line.change.kind, found.line.change.after) == ("step", 6)
     assert found.line.change_size.value == pytest.approx(30.0, abs=3.0)
     assert "It jumps by " in found.sentence
-    assert "between 2024-06-01 and 2024-07-01" in found.sentence
+    assert re.search(r"between 2024-06-01 and 2024-07-01, from \d\d\.?\d* N to 1[23]\d\.?\d* N", found.sentence)
+    assert "mean" not in found.sentence
 
 
 def test_an_effect_is_followed_from_size_zero():
@@ -157,6 +160,36 @@ def test_the_interval_of_the_crossing_covers():
     assert fit_trend_line(times, -2.0 * times, np.eye(10)).crossing(40.0) is None
 
 
+@pytest.mark.parametrize(
+    ("values", "limit", "words"),
+    [
+        # It is passed within the dates: on a line, before a bend, in a step; after a bend, it comes nearer again.
+        (1000.0 - 15.0 * np.arange(10), 900.0, r"It passed 900 N at about 2024-01-07 \(95 % interval: 2024-01-0[67] to"),
+        (np.maximum(1000.0 - 30.0 * np.arange(10), 850.0), 925.0, r"It passed 925 N at about 2024-01-03 "),
+        (
+            1000.0 - 200.0 * (np.arange(10) >= 5),
+            900.0,
+            r"changes by .* day\. It jumps by .* between 2024-01-05 and 2024-01-06, from 1000(\.\d+)? N to 800(\.\d+)? N\. "
+            r"It passed 900 N at about 2024-01-0[56] \(95 % interval: 2024-01-05 to 2024-01-06\)",
+        ),
+        (1000.0 - 15.0 * np.arange(10), 1100.0, r"It moves away from 1100 N\."),
+        (1000.0 + 15.0 * np.arange(10), 1e6, r"It does not reach 1 MN within 10 times the time of these dates\."),
+        (np.full(10, 1000.0), 900.0, r"When it reaches 900 N cannot be predicted\."),
+        # The difference shows, and the mean is that of the dates it is said of.
+        (1000.0 + 0.01 * np.arange(10), None, r"from 1000(\.0\d*)? N \(2024-01-01\) to 1000\.09 N \(2024-01-10\)"),
+        (1000.0 - 50.0 * np.minimum(np.arange(10), 5), None, r"from 2024-01-06 to 2024-01-10: its mean is 750 N, and it"),
+    ],
+)
+def test_the_sentence_says_when_a_limit_is_reached(values, limit, words):
+    """The values scatter hardly; the sentence is that of ten days."""
+    empty = np.zeros(10)
+    calendar = make_calendar([Run(f"r{day}", *[empty] * 5) for day in range(10)], [f"2024-01-{d:02d}" for d in range(1, 11)])
+    values = values + 1e-3 * np.random.default_rng(0).standard_normal(10)
+    line = fit_trend_line(calendar.times, values, 1e-6 * np.eye(10))
+    sentence = describe_trend("yield_force", "N", calendar, tuple(map(Interval, values)), line, limit)
+    assert re.search(words, sentence), sentence
+
+
 def test_values_without_errors_are_on_the_line():
     found = fit_trend_line(np.arange(5.0), 3.0 + 2.0 * np.arange(5.0), np.zeros((5, 5)))
     assert found.slope.value == pytest.approx(2.0)
@@ -188,7 +221,9 @@ def test_dates_come_from_the_recordings_or_the_order():
     hours = make_calendar(recorded(*(f"2024-03-01T{hour:02d}:00:00+00:00" for hour in (8, 9, 11))))
     assert np.allclose(hours.times * 24, [0, 1, 3])
     assert hours.labels[1] == "2024-03-01 09:00:00"
-    assert make_calendar(recorded("2024-03-01", "", "2024-03-02")).source == "order"
+    undated = make_calendar(recorded("2024-03-01", "", "2024-03-02"))
+    assert (undated.source, undated.origin) == ("order", "Run r1 has no date, so all runs are counted in the given order.")
+    assert make_calendar(recorded("", "")).origin.startswith("The runs have no dates")
     assert make_calendar(days, ["2024-01-01"] * 4).source == "given"
     with pytest.raises(InputError, match="3 dates for 4 runs"):
         make_calendar(days, ["2024-01-01"] * 3)
@@ -239,6 +274,11 @@ def test_unusable_input_is_refused_in_one_line():
         trend(runs, "bingham", "yield_force", parameters=MODEL, limit=float("nan"))
     with pytest.raises(InputError, match="2 dates, expected at least 3"):
         trend(runs[:2], "bingham", "yield_force", parameters=MODEL)
+    # Of one run on a side, no change can be told, so that no command for it is printed; an undated run is named.
+    dated = [replace(runs[0], info={"started": "2024-01-01"}), *runs[1:]]
+    short = trend(dated, "bingham", "yield_force", parameters=MODEL)
+    assert change_command(short) == ""
+    assert "run2 has no date, so all runs are counted in the given order" in short.notes
     still = [Run(r.name, r.time, r.position, r.velocity, 0 * r.current, r.force) for r in runs]
     with pytest.raises(InputError, match="yield_force_per_A: the force of these runs does not depend on it"):
         trend(still, "bingham", "yield_force_per_A", parameters=MODEL)
@@ -291,7 +331,8 @@ def test_the_tool(tmp_path, monkeypatch, capsys):
     page = (tmp_path / "out" / "trend.html").read_text()
     footer = page.partition("<footer>")[2]
     assert all(f"<code>{path}</code>" in footer for path in paths)
-    assert f"diagnose {paths[-1]} --reference {paths[0]} --model bingham --output DIR</code>" in page
+    command = f"diagnose {' '.join(paths[2:])} --reference {' '.join(paths[:2])} --model bingham --output DIR</code>"
+    assert command in page
     assert json.loads((tmp_path / "out" / "trend.json").read_text())["limit"]["crossing"]["label"] == "run 6"
 
 

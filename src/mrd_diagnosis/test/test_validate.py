@@ -50,7 +50,15 @@ def test_a_wrong_parameter_is_seen_and_nothing_is_fitted(damper):
     found = validate(wrong, [run("a", 1), run("b", 2)])
     assert found.nrmse > 3 * found.noise_floor
     assert (found.damper.theta == wrong.theta).all()
-    assert "hardly more" not in validation_sentence(found)
+    sentence = validation_sentence(found)
+    assert "hardly more" not in sentence
+    # What lies somewhere is a share of the excess; where there is none, no place is named.
+    assert "of the error beyond noise" in sentence
+    near = replace(found, nrmse=1.3 * found.noise_floor)
+    assert "hardly more" not in validation_sentence(near)
+    noise = validation_sentence(replace(found, nrmse=1.2 * found.noise_floor))
+    assert "hardly more than noise" in noise
+    assert "of the error" not in noise
 
 
 @pytest.mark.parametrize("asked", [{}, {"offsets": True}, {"gains": True}, {"offsets": True, "gains": True}])

@@ -1,5 +1,6 @@
 """One sentence says where the error lies, and one whether the named causes must show there."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import get_args
 
@@ -47,6 +48,20 @@ def test_speed_and_what_is_not_significant_are_no_place():
     assert where_sentence(located(SPEED, RUN)) == "60 % of the error lies in run 3, which is 30 % of the samples."
 
 
+@pytest.mark.parametrize(
+    ("axis", "label", "words"),
+    [
+        ("run", "run3", "lies in run3"),
+        ("current", "at up to 0.2 A", "lies at up to 0.2 A"),
+        ("time", "the first 10 s of the recordings", "lies in the first"),
+        ("position", "positions above 5 mm", "lies at positions above"),
+        ("sign", "while extending", "lies while extending"),
+    ],
+)
+def test_a_place_has_its_preposition(axis, label, words):
+    assert words in where_sentence(located(region(axis, label, 0.6, 2.0)))
+
+
 def test_a_run_is_named_in_place_of_the_time_at_which_it_was_recorded():
     time = region("time", "the first 10 s of the recordings", 0.61, 2.1)
     assert headline_place((time, RUN)) is RUN
@@ -79,6 +94,26 @@ def test_a_cause_agrees_where_it_must_show():
         "The error is also larger after reversals, where play in a joint must show."
     )
     assert agreement_sentence(located(RUN, causes=["mains_hum"], oscillation=LINE)) == "That is how mains hum must show."
+
+
+def test_high_accelerations_are_not_the_lowest_ones():
+    low = region("acceleration", "accelerations below 0.5 m/s²", 0.6, 2.0)
+    high = region("acceleration", "accelerations above 0.5 m/s²", 0.4, 0.6, 1.0, (0.5, 5.0))
+    assert "elsewhere" in agreement_sentence(located(NEAR, FAR, low, high, causes=["moving_mass"]))
+    low, high = replace(low, q_value=1.0), replace(high, q_value=0.001)
+    assert agreement_sentence(located(NEAR, FAR, low, high, causes=["moving_mass"])) == (
+        "The error is also larger at high accelerations, where moving mass must show."
+    )
+
+
+def test_a_cause_agrees_with_a_place_only_where_that_is_named():
+    thin = replace(NEAR, share=Interval(0.4))
+    assert where_sentence(located(thin, FAR, oscillation=LINE)) == (
+        "Nearly all of the error (97 %) is an oscillation near 50 Hz."
+    )
+    assert agreement_sentence(located(thin, FAR, causes=["joint_play"], oscillation=LINE)) == (
+        "The error is also larger after reversals, where play in a joint must show."
+    )
 
 
 def test_a_cause_contradicts_only_a_place_without_more_error():

@@ -183,13 +183,26 @@ def plan(experiment: Experiment, limits: Limits, envelope: ForceEnvelope) -> Pla
 def plan_scaled(experiment: Experiment, limits: Limits, envelope: ForceEnvelope) -> Plan | None:
     """Plan an experiment, with motion and current scaled down where they exceed the limits; None if no size fits.
 
-    Each of the two is reduced as far as it must be: of all pairs of sizes that fit, the one with the fewest reductions.
+    Each of the two is reduced as far as it must be: of all pairs of sizes that fit, the one with the fewest reductions. The
+    description, which may name the sizes, then tells how far they are reduced.
     """
 
     def attempt(of_motion: int, of_current: int) -> Plan | None:
-        rod, coil = _scaled(experiment.rod, REDUCTION**of_motion), _scaled(experiment.coil, REDUCTION**of_current)
+        motion, current = REDUCTION**of_motion, REDUCTION**of_current
+        reduced = " and ".join(
+            f"{name} reduced to {100 * factor:.0f} %"
+            for name, factor in (("motion", motion), ("current", current))
+            if factor < 1.0
+        )
+        said = experiment.description
+        scaled = dataclasses.replace(
+            experiment,
+            rod=_scaled(experiment.rod, motion),
+            coil=_scaled(experiment.coil, current),
+            description=f"{said} ({reduced} to keep the limits)" if said and reduced else said,
+        )
         try:
-            return plan(dataclasses.replace(experiment, rod=rod, coil=coil), limits, envelope)
+            return plan(scaled, limits, envelope)
         except InputError:
             return None
 

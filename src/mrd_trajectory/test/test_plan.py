@@ -411,14 +411,18 @@ def test_an_experiment_beyond_the_limits_is_scaled_down_until_it_fits():
     assert factor < 1.0
     assert steps.experiment.rod.slope == factor * 1.3 * LIMITS.speed
     assert steps.experiment.coil == levels
+    assert steps.experiment.description == ""
 
 
 def test_a_current_beyond_its_limit_leaves_the_motion_as_it_is():
     rod, coil = Sine(0.010, 0.5), Staircase((0.0, 1.5 * LIMITS.current_max), 1.0)
     planned = plan_scaled(
-        Experiment("t", 4.0, 100.0, rod, coil), LIMITS, replace(ENVELOPE, yield_slope=1.0, viscosity_slope=0.0)
+        Experiment("t", 4.0, 100.0, rod, coil, description="a sine of 10 mm"),
+        LIMITS,
+        replace(ENVELOPE, yield_slope=1.0, viscosity_slope=0.0),
     )
     assert planned.experiment.rod == rod
+    assert planned.experiment.description == "a sine of 10 mm (current reduced to 64 % to keep the limits)"
     assert planned.experiment.coil.levels == (0.0, 0.8**2 * 1.5 * LIMITS.current_max)
 
 

@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Interval, RunNoise, RunResidual
 from mrd_diagnosis.fitting.refit import Refit, without_each
-from mrd_diagnosis.fitting.statistics import bootstrap_counts, closed_fraction, finite_costs, nrmse_interval
+from mrd_diagnosis.fitting.statistics import (
+    bootstrap_counts,
+    bootstrap_interval,
+    closed_fraction,
+    finite_costs,
+    nrmse_interval,
+)
 from mrd_diagnosis.fitting.weighting import error_of_run
 from mrd_diagnosis.noise.noise_model import estimate_noise
 from mrd_diagnosis.search.model_comparison import ModelComparison
@@ -39,7 +45,9 @@ class Closure:
     ----------
     noise_floor, before, after : Interval
     closed_fraction : Interval
-        Share of the gap; nan without effects.
+        Share of the explainable gap; nan without effects.
+    is_worse : bool
+        Whether whole runs are surely predicted worse with the effects.
     extrapolated : Interval or None
         The same on the runs that exceed the others, each predicted from the others only.
     residuals : tuple of RunResidual
@@ -51,6 +59,7 @@ class Closure:
     before: Interval
     after: Interval
     closed_fraction: Interval
+    is_worse: bool
     extrapolated: Interval | None
     residuals: tuple[RunResidual, ...]
     counted: tuple[RunResidual, ...]
@@ -111,20 +120,31 @@ def compute_closure(
     if beyond and comparison.effects:
         b, a, n, _, d = _bootstrap_units(beyond, rng)
         extrapolated = closed_fraction(b, a, n, d)
+    closed = quantiles = Interval(np.nan)
+    if comparison.effects:
+        closed, quantiles = (
+            closed_fraction(squares_before, squares_after, squares_noise, draws, widened=widened)
+            for widened in (True, False)
+        )
     return Closure(
         nrmse_interval(squares_noise, samples, variance, draws),
         nrmse_interval(squares_before, samples, variance, draws),
         nrmse_interval(squares_after, samples, variance, draws),
-        closed_fraction(squares_before, squares_after, squares_noise, draws) if comparison.effects else Interval(np.nan),
+        closed,
+        quantiles.upper < 0.0,
         extrapolated,
         tuple(residuals),
         counted,
     )
 
 
-def closed_fraction_between(before: Refit, after: Refit, comparison: ModelComparison, rng: np.random.Generator) -> Interval:
+def closed_fraction_between(
+    before: Refit, after: Refit, comparison: ModelComparison, rng: np.random.Generator, *, widened: bool = True
+) -> Interval:
     """Return the share of the gap between two refits, on folds that are held out in turn; in those from before a
     change, there is none.
+
+    ``widened`` is as of `mrd_diagnosis.fitting.statistics.bootstrap_interval`.
     """
     recordings = comparison.weighting.recordings
     acting = [place for place, (run, _) in enumerate(comparison.weighting.folds) if not recordings[run].without_effects]
@@ -137,8 +157,8 @@ def closed_fraction_between(before: Refit, after: Refit, comparison: ModelCompar
     if gap.sum() <= 0:
         return Interval(np.nan)
     shares = (draws @ gained) / np.where(draws @ gap > 0, draws @ gap, np.nan)
-    ends = np.nanquantile(np.clip(shares, -1.0, 1.0), (0.025, 0.975)) if np.isfinite(shares).any() else (np.nan, np.nan)
-    return Interval(float(np.clip(gained.sum() / gap.sum(), -1.0, 1.0)), *map(float, ends))
+    value, bounds = float(np.clip(gained.sum() / gap.sum(), -1.0, 1.0)), (-1.0, 1.0)
+    return bootstrap_interval(value, np.clip(shares, *bounds), len(gap), bounds, widened=widened)
 
 
 def exceeded_ranges(recording: Recording, others: Sequence[Recording]) -> str:

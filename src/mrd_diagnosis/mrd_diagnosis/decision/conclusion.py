@@ -199,7 +199,9 @@ def _beside_others(
     """Return a model without each of its effects, and the share of the gap that each closes beside the others."""
     refits = in_threads(partial(refit_without, comparison.weighting, best), effects)
     without = dict(zip(effects, refits, strict=True))
-    return without, {effect: closed_fraction_between(without[effect], best, comparison, rng) for effect in effects}
+    return without, {
+        effect: closed_fraction_between(without[effect], best, comparison, rng, widened=False) for effect in effects
+    }
 
 
 def _named_alone(
@@ -229,7 +231,7 @@ def _claims(
     """Return what is claimed of each cause, with what speaks against it; the shares that they close ``beside`` each other
     are computed where they are not known.
     """
-    together = closed_fraction_between(complete.base, complete.best, complete, rng)
+    together = closed_fraction_between(complete.base, complete.best, complete, rng, widened=False)
     open_fraction = float(np.clip(1.0 - np.nan_to_num(together.value), 0.0, 1.0))
     if len(causes) == 1:
         beside = dict.fromkeys(complete.effects, together)

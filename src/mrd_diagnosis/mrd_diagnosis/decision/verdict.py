@@ -47,7 +47,9 @@ def verdict_on_gap(
     rng : numpy Generator
     """
     best, base = comparison.best, comparison.base
-    closed = closed_fraction_between(base, best, comparison, rng) if comparison.effects else Interval(0.0, 0.0, 0.0)
+    closed = Interval(0.0, 0.0, 0.0)
+    if comparison.effects:
+        closed = closed_fraction_between(base, best, comparison, rng, widened=False)
     # Where the gap is so small that the noise estimate may be wrong instead, only an effect that surely closes most of it
     # counts.
     sure = closed.lower >= THRESHOLDS.least_closed and p_values[comparison.effects[0]] <= THRESHOLDS.p_value

@@ -106,7 +106,8 @@ def advise(
     sizes = sizes_of_bench(bench) if bench else sizes_of(scales_of([recording.run for recording in weighting.recordings]))
     rng, bench = rng or np.random.default_rng(0), bench or usual_bench(sizes)
     recorded = {recording.run.name for recording in weighting.recordings}
-    plans = [planned for planned in library(bench, sizes) if planned.experiment.name not in recorded]
+    fitting = library(bench, sizes)
+    plans = [planned for planned in fitting if planned.experiment.name not in recorded]
     completed = itertools.count(1)
     predictor = Predictor.from_refits(explanations, weighting, rng, without)
 
@@ -119,7 +120,11 @@ def advise(
     safe = [(planned, of_plan) for planned, of_plan in zip(plans, separations_of_plans, strict=True) if of_plan is not None]
     if not safe:
         pair = next(itertools.combinations(explanations, 2))
-        text = f"No experiment that can be advised is safe: each would exceed {bench.limits.force:g} N or another limit."
+        text = (
+            f"No experiment that can be advised is safe: each would exceed {bench.limits.force:g} N or another limit."
+            if plans or not fitting
+            else "Every experiment that fits this bench is recorded already."
+        )
         return Advice(f"{text} {_sensor_for(pair, predictor)}", between=pair)
     probabilities = probabilities or dict.fromkeys(explanations, 1.0)
     planned, separations = max(safe, key=lambda item: _merit(item[0], item[1], probabilities))

@@ -11,6 +11,7 @@ from mrd_diagnosis.fitting.refit import Refit, scaled_inverse
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.least_squares import BOUND_TOLERANCE
 from mrd_identification.residual_correlation import correlation_length
+from mrd_identification.uncertainty import half_width
 from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]
@@ -159,15 +160,32 @@ def bootstrap_counts(units: int, rng: np.random.Generator) -> Array:
     return rng.multinomial(units, np.full(units, 1 / units), BOOTSTRAP_SAMPLES).astype(float)
 
 
+def bootstrap_interval(
+    value: float, drawn: Array, units: int, bounds: tuple[float, float], *, widened: bool = True
+) -> Interval:
+    """Return a value with its 95 % interval within ``bounds``, from values ``drawn`` from so many units; nan is none.
+
+    The quantiles of a bootstrap of few units are too near to the value, and are ``widened`` about it
+    (`mrd_identification.uncertainty.half_width`). What decides by an end was tried with the quantiles themselves.
+    """
+    if np.isnan(drawn).all() or (widened and units < 2):
+        return Interval(value)
+    widening = half_width(units) / 1.96 if widened else 1.0
+    ends = value + widening * (np.nanquantile(drawn, (0.025, 0.975)) - value)
+    return Interval(value, *map(float, np.clip(ends, *bounds)))
+
+
 def nrmse_interval(squares: Array, samples: Array, variance: float, draws: Array) -> Interval:
     """Return the rms error over the force's standard deviation, from squared errors in N² (units,) of so many samples."""
     value = np.sqrt(squares.sum() / samples.sum() / variance)
     drawn = np.sqrt((draws @ squares) / (draws @ samples) / variance)
-    return Interval(float(value), *map(float, np.quantile(drawn, (0.025, 0.975))))
+    return bootstrap_interval(float(value), drawn, len(squares), (0.0, np.inf))
 
 
-def closed_fraction(before: Array, after: Array, noise: Array, draws: Array) -> Interval:
-    """Return the share of the gap that is closed, from squared errors in N² (units,) and those of the noise."""
+def closed_fraction(before: Array, after: Array, noise: Array, draws: Array, *, widened: bool = True) -> Interval:
+    """Return the share of the gap that is closed, from squared errors in N² (units,) and those of the noise;
+    ``widened`` as of `bootstrap_interval`.
+    """
 
     def share(b: Array, a: Array, n: Array) -> Array:
         gap = b - n
@@ -177,4 +195,4 @@ def closed_fraction(before: Array, after: Array, noise: Array, draws: Array) -> 
     drawn = share(draws @ before, draws @ after, draws @ noise)
     if np.isnan(drawn).mean() > MOST_WITHOUT_GAP:
         return Interval(value)
-    return Interval(value, *map(float, np.nanquantile(drawn, (0.025, 0.975))))
+    return bootstrap_interval(value, drawn, len(before), (-1.0, 1.0), widened=widened)

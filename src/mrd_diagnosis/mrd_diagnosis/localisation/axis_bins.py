@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Axis
 from mrd_diagnosis.localisation.events import distance_to_end, span_of_positions, travel_since_reversal
+from mrd_diagnosis.wording.quantities import SMALLEST
 from mrd_identification.recording import Recording, current_levels
 from mrd_runs.scales import scales_of
 from mrd_runs.signals.current_steps import time_since_step
@@ -61,6 +62,9 @@ LEAST_SHARE_OF_LEVEL = 0.002
 
 WIDEST_LEVEL = 0.1
 """Share of the range of the current within which a level counts as one value."""
+
+ROUNDING = 0.025
+"""Share of the range of the current to which labels of its levels are rounded, at most: they differ, and show no noise."""
 
 MOST_EVEN_BINS = 8
 """Even bins of an axis, at most."""
@@ -205,23 +209,25 @@ def _current_bins(current: Array, levels: int) -> tuple[Bins, Indices]:
     occupied = np.flatnonzero(counts > LEAST_SHARE_OF_LEVEL * len(current))
     gaps = np.flatnonzero(np.diff(occupied) > 1)
     inner = 0.5 * (edges[occupied[gaps] + 1] + edges[occupied[gaps + 1]])
+    unit, per_ampere = ("mA", 1e3) if np.abs(current).max() < SMALLEST else ("A", 1.0)
     if not 1 <= len(inner) < MOST_LEVELS:
-        labels = ("up to {} A", "at {} to {} A", "above {} A")
-        return _bins_between("current", current, "A", 1.0, _even_edges(current), labels)
+        labels = f"at up to {{}} {unit}", f"at {{}} to {{}} {unit}", f"at more than {{}} {unit}"
+        return _bins_between("current", current, "A", per_ampere, _even_edges(current), labels)
     bin_of_sample = np.searchsorted(inner, current)
     ends = [float(current.min()), *map(float, inner), float(current.max())]
+    step = 10.0 ** np.floor(np.log10(ROUNDING * np.ptp(current)))
+
+    def text(value: float) -> str:
+        return _number(per_ampere * step * round(value / step))
+
     texts = []
     for level in range(len(inner) + 1):
         low, middle, high = np.quantile(current[bin_of_sample == level], (0.05, 0.5, 0.95))
         # Levels that overlap because of noise are one bin.
         wide = high - low > WIDEST_LEVEL * np.ptp(current)
-        texts.append(f"at {_short(low)} to {_short(high)} A" if wide else f"at {_short(middle)} A")
+        texts.append(f"at {text(low)} to {text(high)} {unit}" if wide else f"at {text(middle)} {unit}")
     return Bins("current", "A", list(itertools.pairwise(ends)), texts), bin_of_sample
 
 
 def _number(value: float) -> str:
     return f"{value + 0.0:.4g}".replace("-", "\u2212")
-
-
-def _short(current: float) -> str:
-    return _number(round(current, 2))

@@ -15,6 +15,7 @@ from mrd_diagnosis.localisation.oscillation import highest_frequency_of_motion
 from mrd_diagnosis.localisation.units import BETWEEN_UNITS
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.recording import Recording
+from mrd_identification.uncertainty import half_width
 
 Array = NDArray[np.float64]
 
@@ -59,8 +60,9 @@ def localise(recordings: Sequence[Recording], noise: Sequence[RunNoise], residua
     alone: what is expected of a bin within its unit is the same for any excess of the unit. For
     independent units with symmetric errors, its tails are below those of a normal variable, however unequal the units are
     (Efron 1969). The false-discovery rate over all bins is controlled after Benjamini & Hochberg (1995). Excess within
-    `Thresholds.noise_variance_error` of the noise variance is not counted. Intervals are those of a ratio of sums over
-    independent units.
+    `Thresholds.noise_variance_error` of the noise variance is not counted. With 3 to 30 units, simulated without a
+    place, the test alarms no more often than its p-value says. Intervals are those of a ratio of sums over independent
+    units, by Student's t.
     """
     regions: list[Region] = []
     p_values: list[float] = []
@@ -96,11 +98,12 @@ def _regions(table: ExcessTable) -> tuple[list[Region], list[float]]:
     deviations = np.sqrt(np.sum((table.excess - np.outer(table.excess.sum(axis=1), shares)) ** 2, axis=0)) / total
     lifts = shares / np.maximum(uniform, np.finfo(float).tiny)
     p_values = np.where(lifts > 1.0, _p_values(table, uniform), 1.0)
+    half_widths = half_width(int((table.samples.sum(axis=1) > 0).sum())) * deviations
     counted = list(map(int, np.flatnonzero(samples >= LEAST_SAMPLES_OF_BIN)))
     regions = []
     for index in counted:
-        share, deviation = float(shares[index]), float(deviations[index])
-        interval = Interval(share, max(share - 1.96 * deviation, 0.0), min(share + 1.96 * deviation, 1.0))
+        share, half = float(shares[index]), float(half_widths[index])
+        interval = Interval(share, *map(float, np.clip((share - half, share + half), 0.0, 1.0)))
         (first, last), label = table.bins.bounds[index], table.bins.labels[index]
         regions.append(Region(table.bins.axis, first, last, table.bins.unit, interval, float(lifts[index]), 1.0, label))
     return regions, [float(p_values[index]) for index in counted]

@@ -39,14 +39,21 @@ AS_DENSE = 0.9
 
 def where_sentence(diagnosis: Diagnosis, error: str = "the error") -> str:
     """Return where most of the error lies; empty where no place of the recordings has significantly more than the others."""
-    oscillation, place = diagnosis.oscillation, headline_place(diagnosis.where)
+    oscillation, place = diagnosis.oscillation, _named_place(diagnosis)
     there = _share_clause(place, error) if place else ""
     if oscillation is None:
         return f"{capitalised(there)}." if there else ""
     share = oscillation.share.value
     much = f"{'Nearly all' if share > NEARLY_ALL_OSCILLATES else 'Most'} of {error}"
-    also = f", and {there}" if place and place.share.value > 0.5 else ""
+    also = f", and {there}" if there else ""
     return f"{much} ({format_share(share)}) is {oscillation.label}{also}."
+
+
+def _named_place(diagnosis: Diagnosis) -> Region | None:
+    """Return the place that `where_sentence` names; beside an oscillation, only one that has most of the error."""
+    place = headline_place(diagnosis.where)
+    is_named = place is not None and (diagnosis.oscillation is None or place.share.value > 0.5)
+    return place if is_named else None
 
 
 def place_sentence(where: Sequence[Region], error: str = "the error") -> str:
@@ -84,7 +91,7 @@ def agreement_sentence(diagnosis: Diagnosis) -> str:
 
     An effect contradicts the place only where there is no more error in any place where it must show than elsewhere.
     """
-    headline = headline_place(diagnosis.where)
+    headline = _named_place(diagnosis)
     if headline is None and diagnosis.oscillation is None:
         return ""
     as_it: list[str] = []
@@ -128,7 +135,7 @@ def _share_clause(place: Region, error: str) -> str:
     much, verb = share_in_words(place.share.value)
     samples = place.share.value / place.lift
     part = format_share(samples) if samples >= 0.005 else "less than 1 %"
-    return f"{much} {error} {verb} {_at(place.label)}, which is {part} of the samples"
+    return f"{much} {error} {verb} {_at(place)}, which is {part} of the samples"
 
 
 def _joined(regions: Sequence[Region]) -> Region:
@@ -147,19 +154,19 @@ def _is_as_dense(run: Region, time: Region) -> bool:
 
 
 def _is_away(region: Region, where: Sequence[Region]) -> bool:
-    """Whether a bin of an axis that counts from an event is the one away from it."""
-    return region.axis in NEAR_LABELS and region.upper == max(other.upper for other in where if other.axis == region.axis)
+    """Whether a bin is where no effect shows: the one away from an event, or that of the lowest accelerations."""
+    of_axis = [other for other in where if other.axis == region.axis]
+    if region.axis == "acceleration":
+        return region.lower == min(other.lower for other in of_axis)
+    return region.axis in NEAR_LABELS and region.upper == max(other.upper for other in of_axis)
 
 
 def _in_words(places: Sequence[Place], last: str) -> str:
     return join_words([WHERE[place] for place in places], last)
 
 
-def _at(label: str) -> str:
-    """Return the label of a region after "lies"."""
-    first = label.partition(" ")[0]
-    if first in ("at", "in", "while", "within", "above", "below", "after", "between", "more", "up", "away", "from"):
-        return label
-    if first[0].isdigit():
-        return label
-    return f"{'in' if first in ('run', 'the') else 'at'} {label}"
+def _at(place: Region) -> str:
+    """Return the label of one of the `PLACES` after "lies"."""
+    if place.axis == "run" or place.label.startswith("the "):
+        return f"in {place.label}"
+    return f"at {place.label}" if place.axis == "position" else place.label

@@ -57,9 +57,11 @@ def force_noise_variance(
         ``repeats``, ``periods`` or ``residual``.
     """
     recording = recordings[index]
+    # Runs from before and after a change differ by more than noise.
+    same_set = [other for other in range(len(recordings)) if recordings[other].without_effects == recording.without_effects]
     variances = [
         _variance_from_repeat(recordings, residuals, propagated, index, other)
-        for other in range(len(recordings))
+        for other in same_set
         if other != index and runs_repeat(recording.smoothed, recordings[other].smoothed)
     ]
     if variances:

@@ -62,7 +62,9 @@ def limitation_notes(recordings: Sequence[Recording], noise: Sequence[RunNoise])
             "Only one run: its segments replace runs, which is weaker evidence, and the scatter between runs is unknown."
         )
     if {noise_of_run.source for noise_of_run in noise} == {"residual"}:
-        notes.append("No run was repeated, so the noise of the force was estimated from the fast part of the model's error.")
+        notes.append(
+            "No run repeats another one, so the noise of the force was estimated from the fast part of the model's error."
+        )
     rate = min(recording.run.rate for recording in recordings)
     if rate < SLOW_RATE:
         notes.append(

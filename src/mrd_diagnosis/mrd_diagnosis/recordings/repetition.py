@@ -14,20 +14,26 @@ TOLERANCE = 0.005
 CLOCK_TOLERANCE = 0.1
 """Share of the sampling interval by which the sampling instants may differ."""
 
+LENGTH_TOLERANCE = 0.01
+"""Share of the samples by which a run may be longer than its repeat: no recorder ends at the same sample twice."""
+
 LEAST_SAMPLES = 96
 """Samples of a run, at least, in which a period is looked for."""
 
 
 def runs_repeat(smoothed: SmoothedRun, other: SmoothedRun) -> bool:
-    """Whether two different runs have the same motion and current at the same times."""
+    """Whether two different runs have the same motion and current at the same times, as long as both last."""
     run, again = smoothed.run, other.run
-    if len(run) != len(again) or np.abs(run.time - again.time).max() > CLOCK_TOLERANCE / run.rate:
+    n = min(len(run), len(again))
+    if max(len(run), len(again)) - n > LENGTH_TOLERANCE * n:
         return False
-    if np.array_equal(run.force, again.force):
+    if np.abs(run.time[:n] - again.time[:n]).max() > CLOCK_TOLERANCE / run.rate:
+        return False
+    if np.array_equal(run.force[:n], again.force[:n]):
         return False
     noise = current_noise(run.current)
-    return _same(run.current, again.current, noise, np.abs(run.current).max()) and _same(
-        smoothed.motion.position, other.motion.position, smoothed.motion.position_noise, np.ptp(run.position)
+    return _same(run.current[:n], again.current[:n], noise, np.abs(run.current).max()) and _same(
+        smoothed.motion.position[:n], other.motion.position[:n], smoothed.motion.position_noise, np.ptp(run.position)
     )
 
 
@@ -58,4 +64,4 @@ def repeating_period(smoothed: SmoothedRun) -> float | None:
 
 def _same(series: Array, other: Array, noise: float, span: float) -> bool:
     """Whether two series (n,) differ by no more than noise and tolerance."""
-    return bool(np.sqrt(np.mean((series - other) ** 2)) < TOLERANCE * span + 2.0 * noise)
+    return bool(np.sqrt(np.mean((series - other) ** 2)) <= TOLERANCE * span + 2.0 * noise)

@@ -35,6 +35,7 @@ from mrd_diagnosis.report.sentences import (
     corrected_label,
     found_several,
     is_doubted,
+    least_probability,
     next_command,
     next_step,
     notable_model,
@@ -301,11 +302,9 @@ def _headline(diagnosis: Diagnosis, gap: Gap) -> list[tuple[str, str, str]]:
     """Return value, name and interval of each number at the top of the page: how sure, how much is removed, the errors."""
     label, numbers = corrected_label(diagnosis), []
     if diagnosis.causes:
-        least = min(diagnosis.causes, key=lambda cause: cause.probability)
         which = "least certain " if len(diagnosis.causes) > 1 else "most likely " if diagnosis.alternatives else ""
-        numbers.append(
-            (format_probability(least.probability), f"probability of the {which}cause among the effects tried", "")
-        )
+        probability = format_probability(least_probability(diagnosis))
+        numbers.append((probability, f"probability of the {which}cause among the effects tried", ""))
     if label and np.isfinite(gap.closed_fraction.value):
         numbers.append(_headline_share(gap.closed_fraction, f"of the gap removed {label}"))
         if gap.extrapolated is not None:
@@ -349,7 +348,7 @@ def _error_notes(diagnosis: Diagnosis, gap: Gap) -> list[str]:
             f"On the runs that go beyond the others in stroke, speed or current, {removes} "
             f"{format_share(gap.extrapolated)} of the gap. There the parameters were fitted to the other runs only."
         )
-    elif found:
+    elif found and len(diagnosis.residuals) > 1 and not any(residual.extrapolates for residual in diagnosis.residuals):
         notes.append("No run exceeds the others in stroke, speed or current; beyond these the result is untested.")
     return notes
 
@@ -364,7 +363,7 @@ def _check_note(diagnosis: Diagnosis, gap: Gap) -> str:
         "So at least this share is no noise: it repeats with motion and current. An effect with the right formula can "
         "remove more."
         if removed
-        else "So the error does not repeat with motion and current."
+        else "This check finds nothing that repeats with motion and current; it is a lower bound."
     )
     return (
         "As a check, a free correction (a flexible function of motion, current and their past) was fitted to the "
@@ -489,7 +488,7 @@ def _run_row(residual: RunResidual) -> dict[str, Any]:
         ],
         "force_noise": format_quantity(residual.noise.force, "N"),
         "motion_noise": format_quantity(residual.noise.motion, "N"),
-        "offset": f"{residual.offset:+.2f}".replace("-", "\u2212"),
+        "offset": f"{'+' if residual.offset > 0.0 else ''}{format_quantity(residual.offset, 'N')}",
         "gain": f"{100 * residual.gain:+.2f}".replace("-", "\u2212"),
         "extrapolates": residual.extrapolates,
     }

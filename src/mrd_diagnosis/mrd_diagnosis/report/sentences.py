@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 from mrd_base.tool import command, has_workspace
 from mrd_diagnosis.decision.rejection_rules import leaves_open
-from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap, Rejected
+from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap, HeldOutBy, Rejected
 from mrd_diagnosis.evidence.cause_class import class_name
 from mrd_diagnosis.localisation.sentence import agreement_sentence, where_sentence
 from mrd_diagnosis.recordings.closed_loop import review_commands
 from mrd_diagnosis.recordings.imitating_limitations import gap_making_limitations
-from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.thresholds import THRESHOLDS, is_noise
 from mrd_diagnosis.wording.effect_names import STAGE_NAMES, effect_clause, effect_name, effect_names
 from mrd_diagnosis.wording.quantities import capitalised, format_error, format_probability, format_share, join_words
 from mrd_identification.correction import unproven_effects
@@ -49,7 +49,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     if gap is None:
         return fault_sentence(diagnosis.findings)
     if diagnosis.verdict == "no_gap":
-        return _no_change_sentence(gap) if diagnosis.reference else _no_gap_sentence(gap)
+        return _no_change_sentence(gap) if diagnosis.reference else _no_gap_sentence(gap, diagnosis.held_out_by)
     if diagnosis.reference:
         return f"Something has changed since the reference runs. {_gap_sentence(diagnosis, gap)}"
     return _gap_sentence(diagnosis, gap)
@@ -87,19 +87,29 @@ def imitation_note(rejected: Sequence[Rejected]) -> str:
     )
 
 
-def _no_gap_sentence(gap: Gap) -> str:
+_LARGER_WHERE = {
+    "runs": "on the runs that were set aside, because the fitted ones",
+    "leave-one-run-out": "where a whole run is held out, because the others",
+    "blocks": "where a segment is held out, because the others",
+}
+"""Where a model errs by more than noise that has no gap on the fitted data, and what did not determine its parameters."""
+
+
+def _no_gap_sentence(gap: Gap, held_out_by: HeldOutBy) -> str:
     """Return the verdict that noise explains the error."""
     before, noise = format_error(gap.before.value), format_error(gap.noise_floor.value)
+    only_noise = is_noise(gap.before.value, gap.noise_floor.value)
+    where = "" if only_noise else f" The error is larger only {_LARGER_WHERE[held_out_by]} do not determine all parameters."
     if gap.as_given is not None and gap.as_given > THRESHOLDS.notable_refit * gap.before.value:
+        explains = f"; noise explains that ({noise})" if only_noise else f", the noise is {noise}"
         return (
             f"The parameters caused the gap. With refitted parameters, the error falls from {format_error(gap.as_given)} to "
-            f"{before} of the force's standard deviation; noise explains that ({noise})."
+            f"{before} of the force's standard deviation{explains}.{where}"
         )
-    errors = f"The model's error is {before} of the force's standard deviation, the noise is {noise}."
-    if gap.before.value**2 <= THRESHOLDS.noise_chi_square * gap.noise_floor.value**2:
-        return f"No gap beyond the noise. {errors}"
-    reason = "It is larger only where a whole run is held out, because the others do not determine all parameters."
-    return f"No gap beyond the noise. {errors} {reason}"
+    return (
+        "No gap beyond the noise. "
+        f"The model's error is {before} of the force's standard deviation, the noise is {noise}.{where}"
+    )
 
 
 def _no_change_sentence(gap: Gap) -> str:
@@ -513,11 +523,16 @@ def _effects_tried(diagnosis: Diagnosis) -> int:
 
 def _certainty(diagnosis: Diagnosis) -> str:
     """Return the probability of the least certain cause in words."""
-    least = min((_probability(cause, diagnosis.alternatives) for cause in diagnosis.causes), default=math.nan)
+    least = least_probability(diagnosis)
     bound = "above " if least > 0.99 else "at least " if len(diagnosis.causes) > 1 else ""
     tried = _effects_tried(diagnosis)
-    among = f"among the {tried} effects that were tried" if tried > 1 else "no other effect was tried"
-    return f"probability {bound}{'99 %' if least > 0.99 else format_share(least)} {among}"
+    among = f" among the {tried} effects that were tried" if tried > 1 else ", no other effect was tried"
+    return f"probability {bound}{'99 %' if least > 0.99 else format_share(least)}{among}"
+
+
+def least_probability(diagnosis: Diagnosis) -> float:
+    """Return the probability of the least certain cause; nan without causes."""
+    return min((_probability(cause, diagnosis.alternatives) for cause in diagnosis.causes), default=math.nan)
 
 
 def _probability(cause: Cause, alternatives: Sequence[Alternative]) -> float:

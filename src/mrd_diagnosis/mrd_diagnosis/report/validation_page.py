@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mrd_base.figures import MOST_POINTS, to_html
 from mrd_base.json_file import finite_or_none, make_folder, write_json
 from mrd_diagnosis.localisation.sentence import place_sentence
+from mrd_diagnosis.thresholds import is_noise
 from mrd_diagnosis.validation.validate import ValidatedRun, Validation
 from mrd_diagnosis.wording.quantities import format_error, format_quantity
 from mrd_identification import figures
@@ -18,9 +17,6 @@ from mrd_runs.summary import run_json
 
 SCHEMA = "mrd-validation/1"
 
-NEAR_NOISE = 1.5
-"""Ratio of error and noise floor up to which a reader may take the error for noise."""
-
 
 def validation_sentence(validation: Validation) -> str:
     """Return what was found: the error against the noise floor, the worst run, what exceeds the fitted runs, and where."""
@@ -29,7 +25,8 @@ def validation_sentence(validation: Validation) -> str:
     floor = f"a perfect model would have {format_error(validation.noise_floor)}"
     size = f"{format_error(validation.nrmse)} of the force's standard deviation"
     error = f"The damper predicts {count} with an error of {size}; {floor}."
-    if np.isfinite(validation.nrmse) and validation.nrmse <= NEAR_NOISE * validation.noise_floor:
+    only_noise = is_noise(validation.nrmse, validation.noise_floor)
+    if only_noise:
         error += " That is hardly more than noise."
     sentences = [error]
     worst = max(runs, key=lambda run: run.result.metrics.nrmse)
@@ -41,7 +38,7 @@ def validation_sentence(validation: Validation) -> str:
     if beyond := [run for run in runs if run.exceeds]:
         names = ", ".join(f"{run.result.run.name} ({run.exceeds})" for run in beyond)
         sentences.append(f"Beyond the runs to which it was fitted: {names}.")
-    if place := place_sentence(validation.where):
+    if not only_noise and (place := place_sentence(validation.where, "the error beyond noise")):
         sentences.append(place)
     return " ".join(sentences)
 

@@ -1,6 +1,7 @@
 """Recordings of the rounds of a sequential diagnosis in a folder, so that an interrupted one goes on."""
 
 import itertools
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -62,11 +63,18 @@ def _is_whole(bag: Path, duration: float) -> bool:
 
 
 def read_later_rounds(folder: Path) -> tuple[list[Run], int]:
-    """Return the recordings of all rounds but the first one of a diagnosis, and the number of these rounds."""
-    rounds = {int(path.name.removeprefix("round_")): path for path in folder.glob("round_*")}
-    later = [rounds[number] for number in sorted(rounds) if number > 1]
-    bags = [bag for path in later for bag in sorted(path.iterdir()) if (bag / "metadata.yaml").exists()]
-    return [read_run(bag) for bag in bags], max(rounds, default=1) - 1
+    """Return the recordings of all rounds but the first one of a diagnosis, and the number of these rounds.
+
+    Those of a round are in the order in which they were recorded, as far as that is known: heat carries over.
+    """
+    named = ((re.fullmatch(r"round_(\d+)", path.name), path) for path in folder.glob("round_*/"))
+    rounds = {int(match[1]): path for match, path in named if match}
+    runs: list[Run] = []
+    for number in sorted(rounds):
+        if number > 1:
+            bags = [bag for bag in sorted(rounds[number].iterdir()) if (bag / "metadata.yaml").exists()]
+            runs += sorted(map(read_run, bags), key=lambda run: str(run.info.get("started", "")))
+    return runs, max(rounds, default=1) - 1
 
 
 def read_recorded(plans: Sequence[Plan], folder: Path) -> list[Run]:

@@ -17,7 +17,7 @@ ENDINGS = {
     "no_gap": "there is no gap",
     "cause_known": "the cause is known",
     "nothing_separates": "no recording separates what is open",
-    "not_in_catalogue": "the catalogue does not have the cause",
+    "not_in_catalogue": "no effect of the catalogue explains the gap",
     "budget": "the budget is used up",
 }
 """Why a sequential diagnosis ended, as a clause."""
@@ -42,10 +42,17 @@ def write_sequential_report(outcome: SequentialDiagnosis, folder: Path) -> Path:
         sentence=diagnosis.sentence,
         next_step=next_step(diagnosis),
         next_command=command_after(outcome, folder),
-        ending=ENDINGS[outcome.ending],
+        ending=ending_clause(outcome),
         why=outcome.why,
         rounds=[_row(of_round) for of_round in outcome.rounds],
     )
+
+
+def ending_clause(outcome: SequentialDiagnosis) -> str:
+    """Return why a sequential diagnosis ended, as a clause."""
+    if outcome.ending == "cause_known" and outcome.diagnosis.verdict == "partly_explained":
+        return "the cause of a part of the gap is known"
+    return ENDINGS[outcome.ending]
 
 
 def command_after(outcome: SequentialDiagnosis, folder: Path) -> str:

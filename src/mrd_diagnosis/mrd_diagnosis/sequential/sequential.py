@@ -12,10 +12,11 @@ from mrd_base.progress import ignore
 from mrd_diagnosis.decision.rejection_rules import leaves_open
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
+from mrd_diagnosis.report.sentences import is_seen, least_probability, open_share
 from mrd_diagnosis.sequential.first_set import first_set
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.wording.effect_names import effect_name, effect_names
-from mrd_diagnosis.wording.quantities import capitalised, format_probability, probability_clause
+from mrd_diagnosis.wording.quantities import capitalised, format_probability, format_share, probability_clause
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.preflight import preflight
 from mrd_runs import Run
@@ -222,10 +223,12 @@ def _ending(diagnosis: Diagnosis, asked: Sequence[Plan], left: float) -> tuple[E
         if advice:
             return "nothing_separates", f"No recording of this bench would separate what is open. {advice.text}"
         if diagnosis.causes:
-            least = probability_clause(min(cause.probability for cause in diagnosis.causes))
             found = "The cause" if len(diagnosis.causes) == 1 else "The least likely of the causes"
-            return "cause_known", f"{found} has {least}."
-        return "not_in_catalogue", "No effect of the catalogue predicts the recordings better than the model alone."
+            rest = ""
+            if diagnosis.verdict == "partly_explained" and diagnosis.gap is not None:
+                rest = f"; {format_share(open_share(diagnosis.gap))} of the gap stays open"
+            return "cause_known", f"{found} has {probability_clause(least_probability(diagnosis))}{rest}."
+        return "not_in_catalogue", _without_cause(diagnosis)
     duration = sum(planned.duration for planned in asked)
     if duration > left:
         name = asked[0].experiment.name
@@ -234,6 +237,22 @@ def _ending(diagnosis: Diagnosis, asked: Sequence[Plan], left: float) -> tuple[E
             f"The next recording, {name}, takes {duration:.0f} s, and {max(left, 0.0):.0f} s of the budget are left.",
         )
     return None
+
+
+def _without_cause(diagnosis: Diagnosis) -> str:
+    """Return what is known of the effects where none is named."""
+    if is_seen(diagnosis):
+        return "An effect is seen, but these recordings do not determine it."
+    if not diagnosis.candidates:
+        return "These recordings cannot test any effect of the catalogue."
+    nearest = diagnosis.nearest
+    if nearest is None or nearest.closed_fraction.value <= 0.0:
+        return "No effect of the catalogue predicts the recordings better than the model alone."
+    comes = "comes nearest: it removes" if len(nearest.effects) == 1 else "come nearest: they remove"
+    share = format_share(nearest.closed_fraction.value)
+    return (
+        f"No effect of the catalogue explains the gap. {capitalised(effect_names(nearest.effects))} {comes} {share} of it."
+    )
 
 
 def _added(before: dict[str, float], after: dict[str, float], diagnosis: Diagnosis) -> str:
@@ -249,8 +268,8 @@ def _added(before: dict[str, float], after: dict[str, float], diagnosis: Diagnos
             return f"One effect may be the cause: {effect_name(lead)}, with {now}."
         return f"{len(after)} effects may be the cause: {effect_names(list(after))}. The first one has {now}."
     removed, new = ([name for name in a if name not in b] for a, b in ((before, after), (after, before)))
-    parts = [f"it rules out {effect_names(removed)}"] if removed else []
-    parts += [f"it brings in {effect_names(new)}"] if new else []
-    changed = " and ".join(parts) or "the candidates stay the same"
+    parts = [f"{effect_names(removed)} {'is' if len(removed) == 1 else 'are'} no longer likely"] if removed else []
+    parts += [f"{effect_names(new)} may be the cause as well"] if new else []
+    changed = ", and ".join(parts) or "the candidates stay the same"
     was = f", {format_probability(before[lead])} before" if lead in before else ""
     return f"{capitalised(changed)}. {capitalised(effect_name(lead))} has {now}{was}."

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import MAXYEAR, MINYEAR, UTC, datetime, timedelta
 from typing import Literal
 
 import numpy as np
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_diagnosis.trend.trend_line import FEWEST_DATES
+from mrd_diagnosis.wording.quantities import capitalised
 from mrd_runs import Run
+from mrd_runs.text import named_run
 
 Array = NDArray[np.float64]
 
@@ -33,6 +35,8 @@ class Calendar:
         Time 0; None where runs are counted.
     timed : bool
         Whether the dates are moments of a day, rather than days.
+    undated : str
+        Name of the first run without a date, where others have one.
     """
 
     source: Literal["given", "recorded", "order"]
@@ -41,6 +45,18 @@ class Calendar:
     labels: tuple[str, ...]
     start: datetime | None
     timed: bool = False
+    undated: str = ""
+
+    @property
+    def origin(self) -> str:
+        """Where the dates are from, as a sentence."""
+        if self.undated:
+            return f"{capitalised(named_run(self.undated))} has no date, so all runs are counted in the given order."
+        return {
+            "order": "The runs have no dates, so they are counted in the given order.",
+            "given": "The dates are those given by the user.",
+            "recorded": "The dates are those stored in the recordings.",
+        }[self.source]
 
     @property
     def unit(self) -> str:
@@ -54,7 +70,7 @@ class Calendar:
         try:
             return _label(self.start + timedelta(seconds=round(86400.0 * time)), self.timed)
         except OverflowError:
-            return "never" if time > 0 else "long ago"
+            return f"after the year {MAXYEAR}" if time > 0 else f"before the year {MINYEAR}"
 
     def by_date(self, runs: Sequence[Run]) -> list[list[Run]]:
         """Group the runs by date."""
@@ -62,6 +78,14 @@ class Calendar:
             [run for run, index in zip(runs, self.date_index, strict=True) if index == date]
             for date in range(len(self.times))
         ]
+
+    def before_and_after(self, runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
+        """Return the runs of the first and of the last third of the dates: between them, a change is looked for."""
+        by_date = self.by_date(runs)
+        # Of single runs, a change cannot be told from the scatter.
+        third = max(len(by_date) // 3, min(2, len(by_date) // 2))
+        before, after = ([run for date in dates for run in date] for dates in (by_date[:third], by_date[-third:]))
+        return before, after
 
     def check(self) -> None:
         """Check that there are enough dates.
@@ -100,7 +124,8 @@ def make_calendar(runs: Sequence[Run], dates: Sequence[str] = ()) -> Calendar:
     if len(moments) < len(runs):
         numbers = np.arange(1.0, len(runs) + 1.0)
         labels = tuple(f"run {number:.0f}" for number in numbers)
-        return Calendar("order", tuple(range(len(runs))), numbers, labels, None)
+        undated = next(run.name for run, moment in zip(runs, recorded, strict=True) if moment is None) if moments else ""
+        return Calendar("order", tuple(range(len(runs))), numbers, labels, None, undated=undated)
     # A day is that of the place where the run was recorded.
     days = [moment.replace(hour=0, minute=0, second=0, microsecond=0, tzinfo=UTC) for moment in moments]
     timed = len(set(days)) < FEWEST_DATES

@@ -38,10 +38,7 @@ def change_over_dates(
         For too few dates to follow a parameter over them, and as `mrd_diagnosis.diagnose`.
     """
     calendar.check()
-    by_date = calendar.by_date(runs)
-    # Of single runs, a change cannot be told from the scatter.
-    third = max(len(by_date) // 3, min(2, len(by_date) // 2))
-    before, after = ([run for date in dates for run in date] for dates in (by_date[:third], by_date[-third:]))
+    before, after = calendar.before_and_after(runs)
     return diagnose(after, model, reference=before, laws=laws, parameters=parameters, seed=seed, progress=progress)
 
 

@@ -15,6 +15,7 @@ from mrd_diagnosis.trend.sentence import describe_trend
 from mrd_diagnosis.trend.trend_line import FEWEST_DATES_FOR_CHANGE, TrendLine, fit_trend_line
 from mrd_runs import Run
 from mrd_runs.scales import scales_of
+from mrd_runs.text import named_run
 from mrd_sim.models import DamperModel, find_model
 
 
@@ -54,7 +55,7 @@ class Trend:
 
     @property
     def crossing(self) -> Interval | None:
-        """Time at which the line reaches the limit; None without a limit, or where it cannot be predicted."""
+        """Time at which the line reaches the limit, or has passed it; None without a limit, or where that is not known."""
         return None if self.limit is None else self.line.crossing(self.limit)
 
 
@@ -112,6 +113,8 @@ def trend(
     fit = fit_dates(runs, calendar.date_index, with_effects, follow, parameters=parameters, seed=seed, progress=progress)
     line = fit_trend_line(calendar.times, fit.values, fit.covariance, seed)
     notes = fit.notes
+    if calendar.undated:
+        notes += (f"{named_run(calendar.undated)} has no date, so all runs are counted in the given order",)
     if len(calendar.times) < FEWEST_DATES_FOR_CHANGE:
         notes += (f"no change point was looked for: this needs at least {FEWEST_DATES_FOR_CHANGE} dates",)
     values = _intervals(fit)

@@ -88,9 +88,13 @@ def write_trend(trend: Trend, folder: str | Path) -> Path:
 
 
 def change_command(trend: Trend) -> str:
-    """Return the command that explains what has changed from the first to the last date."""
-    first, *_, last = trend.calendar.by_date(trend.runs)
-    runs = f"{run_arguments(last)} --reference {run_arguments(first)}"
+    """Return the command that explains what has changed from the first dates to the last ones; empty where either has a
+    single run, which does not show how runs scatter.
+    """
+    before, after = trend.calendar.before_and_after(trend.runs)
+    if min(len(before), len(after)) < 2:
+        return ""
+    runs = f"{run_arguments(after)} --reference {run_arguments(before)}"
     model = model_arguments(trend.fit.model.id, trend.fit.model.laws)
     return f"{command('mrd_diagnosis', 'diagnose')} {runs} {model} --output DIR"
 

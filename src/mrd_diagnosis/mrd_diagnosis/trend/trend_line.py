@@ -14,9 +14,11 @@ Array = NDArray[np.float64]
 FEWEST_DATES = 3
 """Dates of a trend. With two dates, no degree of freedom is left to tell a trend from scatter."""
 FEWEST_DATES_FOR_CHANGE = 6
-"""Dates of a series in which a change point is looked for: three on each side of it."""
+"""Dates of a series in which a change point is looked for: beside a line and a change, three degrees of freedom are left."""
 CHANGE_ALPHA = 0.02
 """Share of series without a change point in which one is reported. A false alarm costs more than one date of waiting."""
+LONGEST_PREDICTION = 10.0
+"""Time after the last date, over the time between the dates, for which a line says nothing any more."""
 
 
 @dataclass(frozen=True)
@@ -66,22 +68,36 @@ class TrendLine:
         return value, value - half, value + half
 
     def crossing(self, limit: float) -> Interval | None:
-        """Return the time at which the extrapolated line reaches a limit, with its 95 % interval (Fieller, 1954).
+        """Return the time at which the line reaches a limit, or has passed it, with its 95 % interval (Fieller, 1954).
 
-        None where the line leads away from the limit, or where the sign of its slope is not certain.
+        None where the line leads away from a limit that it has not passed, where the sign of its slope is not certain, or
+        where the limit is farther than `LONGEST_PREDICTION`.
         """
-        last = float(self.times[-1])
-        here, ahead = _design(self.times, np.array([last, last + 1.0]), self.change)
-        step = ahead - here
+        last, span = float(self.times[-1]), float(self.times[-1] - self.times[0])
+        distances = self.predict(self.times)[0] - limit
+        if distances[0] * distances[-1] < 0.0:
+            after = int(np.flatnonzero(distances * distances[-1] <= 0.0)[-1]) + 1
+            begin, end = float(self.times[after - 1]), float(self.times[after])
+            passed = self._crossing_between(limit, begin, end)
+            # When a step was between its two dates, nobody knows.
+            in_step = self.change is not None and self.change.kind == "step" and self.change.after == after
+            return Interval(passed.value, begin, end) if passed and in_step else passed
+        crossing = self._crossing_between(limit, last, last + span)
+        return crossing if crossing and last <= crossing.value <= last + LONGEST_PREDICTION * span else None
+
+    def _crossing_between(self, limit: float, begin: float, end: float) -> Interval | None:
+        """Return where the line through its values at two times reaches a limit; None where its slope may be none."""
+        here, there = _design(self.times, np.array([begin, end]), self.change)
+        step = (there - here) / (end - begin)
         coefficients, covariance = self.regression.coefficients, self.regression.covariance
         distance, slope = float(here @ coefficients) - limit, float(step @ coefficients)
         t2 = self.regression.student_t**2
         (v00, v01), (_, v11) = (t2 * (row @ covariance @ np.stack([here, step], axis=1)) for row in (here, step))
         square, linear, constant = slope**2 - v11, distance * slope - v01, distance**2 - v00
-        if square <= 0.0 or distance * slope >= 0.0:
+        if square <= 0.0:
             return None
         root = np.sqrt(max(linear**2 - square * constant, 0.0))
-        return Interval(last - distance / slope, last + (-linear - root) / square, last + (-linear + root) / square)
+        return Interval(begin - distance / slope, begin + (-linear - root) / square, begin + (-linear + root) / square)
 
 
 def fit_trend_line(times: Array, values: Array, covariance: Array, seed: int = 0) -> TrendLine:

@@ -1,5 +1,6 @@
 """Quantities as a person writes them: prefixed units, intervals, shares, relative errors."""
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -7,6 +8,9 @@ from mrd_diagnosis.diagnosis import Interval
 
 EXACT = 1e-3
 """Width of an interval relative to its value below which the interval is not written out."""
+
+FIGURES = 3
+"""Significant figures of a value whose interval is not written out."""
 
 SMALLEST, LARGEST = 0.1, 1e4
 """Magnitudes between which a unit needs no prefix: 31 ms, but 0.4 s; 2000 N, but 25 kN."""
@@ -18,7 +22,7 @@ _PREFIXES = {"µ": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3, "M": 1e6, "G": 1e9}
 _PREFIXED_UNITS = ("m", "s", "N", "A", "V", "J", "W", "Pa")
 
 
-def format_quantity(value: float | Interval, unit: str = "", style: str = "") -> str:
+def format_quantity(value: float | Interval, unit: str = "", style: str = "", figures: int = FIGURES) -> str:
     """Format a quantity: 0.031 s is "31 ms", 4e-7 m/N is "0.4 µm/N".
 
     Parameters
@@ -29,6 +33,8 @@ def format_quantity(value: float | Interval, unit: str = "", style: str = "") ->
         As parameters have it: "N s/m", "1/A"; empty for a ratio.
     style : str
         ``%`` writes a ratio in per cent, ``size`` drops the sign, ``inverse`` writes the reciprocal.
+    figures : int
+        Significant figures, at least, of a value without an interval.
     """
     quantity = value if isinstance(value, Interval) else Interval(float(value))
     if style == "size" and quantity.value < 0:
@@ -43,11 +49,21 @@ def format_quantity(value: float | Interval, unit: str = "", style: str = "") ->
     half *= abs(factor)
     space = "" if not unit or unit.startswith("°") else " "
     if not math.isfinite(half) or half <= EXACT * abs(scaled):
-        return f"{_significant(scaled)}{space}{unit}"
+        return f"{_significant(scaled, figures)}{space}{unit}"
     digits = -math.floor(math.log10(half / 2.0))
     if abs(upper + lower - 2 * scaled) <= 0.4 * half:
         return f"{_decimals(scaled, digits)} ± {_decimals(half, digits)}{space}{unit}"
     return f"{_decimals(scaled, digits)}{space}{unit} ({_decimals(lower, digits)} to {_decimals(upper, digits)})"
+
+
+def format_apart(values: Sequence[float], unit: str = "") -> list[str]:
+    """Format quantities with so many figures that they differ as written: "100.02 N" and "100.05 N"."""
+    distinct = sorted(set(values))
+    figures = FIGURES
+    if len(distinct) > 1:
+        least = min(high - low for low, high in itertools.pairwise(distinct))
+        figures = max(figures, 1 + math.floor(math.log10(max(map(abs, distinct)))) - math.floor(math.log10(least)))
+    return [format_quantity(value, unit, figures=figures) for value in values]
 
 
 def format_share(value: float | Interval) -> str:
@@ -132,7 +148,7 @@ def _scale(value: float, unit: str, per_cent: bool) -> tuple[float, str]:
     return 1 / _PREFIXES[prefix], f"{prefix}{first}{written}"
 
 
-def _significant(value: float, figures: int = 3) -> str:
+def _significant(value: float, figures: int = FIGURES) -> str:
     """Format at least this many significant figures, without trailing zeros or exponent."""
     digits = max(0, figures - 1 - math.floor(math.log10(abs(value)))) if value else 0
     text = _decimals(value, digits)
