@@ -168,6 +168,13 @@ class Problem:
             return np.asarray((1 + ratio) ** -0.25)
         return np.asarray(np.maximum(ratio, 1.0) ** -0.25)
 
+    def relative_curvature(self, residuals: Array) -> Array:
+        """Return the second derivative of the loss of each residual over its weight, the square of `robust_weights`."""
+        ratio = (residuals / self.loss_scale) ** 2
+        if self.loss == "linear":
+            return np.ones_like(residuals)
+        return np.asarray(1 / (1 + ratio) if self.loss == "soft_l1" else (ratio <= 1).astype(float))
+
     def jacobian(self, unit: Array, indices: Sequence[int] | NDArray[np.intp] | None = None) -> Array:
         """Return the exact derivatives (samples, indices) of the residuals with respect to unit coordinates.
 
