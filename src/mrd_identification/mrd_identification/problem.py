@@ -51,6 +51,8 @@ class Problem:
         Loss function of the residuals in least squares.
     loss_scale : float
         Residual in N above which a robust loss grows more slowly than the square.
+    left_out : ndarray of int or None
+        Places of samples that do not count.
     """
 
     model: DamperModel
@@ -60,6 +62,7 @@ class Problem:
     offsets: bool = False
     loss: Loss = "linear"
     loss_scale: float = 1.0
+    left_out: NDArray[np.intp] | None = None
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -319,7 +322,11 @@ class Problem:
             errors = errors.copy()
             for block in self.blocks:
                 errors[block] -= errors[block].mean() - mean
-        return errors if self._equal_weights else errors * self.root_weight
+        errors = errors if self._equal_weights else errors * self.root_weight
+        if self.left_out is not None:
+            errors = errors.copy()
+            errors[self.left_out] = 0.0
+        return errors
 
 
 def _finite_norms(residuals: Array) -> tuple[float, float]:

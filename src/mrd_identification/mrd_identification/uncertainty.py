@@ -111,7 +111,7 @@ class SandwichCovariance:
 
 
 def uncertainty(
-    problem: Problem, theta: Array, *, profile: bool = True, step: Callable[[], None] = lambda: None
+    problem: Problem, theta: Array, *, intervals: bool = True, profile: bool = True, step: Callable[[], None] = lambda: None
 ) -> Uncertainty:
     """Compute 95 % intervals of the free parameters at the optimum ``theta``.
 
@@ -126,6 +126,8 @@ def uncertainty(
     ----------
     problem : Problem
     theta : ndarray (parameters,)
+    intervals : bool
+        Compute intervals at all: there are none where ``theta`` is no optimum.
     profile : bool
         Compute the profiles, the costly part.
     step : callable
@@ -152,7 +154,7 @@ def uncertainty(
     scores = np.stack([scaled[segment].T @ weighted[segment] for segment in segments])
     result = replace(result, condition=_condition(gram[np.ix_(seen, seen)]), segments=len(segments))
     spare = len(segments) - int(seen.sum()) - problem.run_offsets
-    if spare < LEAST_DEGREES_OF_FREEDOM:
+    if not intervals or spare < LEAST_DEGREES_OF_FREEDOM:
         return result
     sandwich = SandwichCovariance(norm, gram, scores, spare, seen)
     result = _with_intervals(problem, theta, sandwich, result)
