@@ -389,7 +389,8 @@ def _leave_one_out(
     recordings = full.recordings
     outlasts = any(effect.outlasts_run for effect in full.model.effects)
     thetas = np.concatenate([front.thetas for front in fronts])
-    results, less_determined = [], []
+    results: list[RunResult] = []
+    less_determined: list[str] = []
     for index, recording in enumerate(recordings):
         problem, _ = _pose([*recordings[:index], *recordings[index + 1 :]], model, method, scales)
         starts, norms = problem.project(problem.theta(problem.unit(thetas)))

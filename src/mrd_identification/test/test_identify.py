@@ -436,7 +436,8 @@ def test_report_says_what_it_shows_and_where_it_comes_from(bouc_wen_fit, tmp_pat
     # Somebody who cannot see the figures is told what each of them draws.
     assert page.count('role="img"') == page.count('class="plot"')
     assert 'aria-label="Chart of force, N over velocity, mm/s and position, mm: measured, model"' in page
-    assert f"diagnose {' '.join(of.run.info['source'] for of in files)} --model bouc_wen --output DIR</code>" in page
+    runs = " ".join(of.run.info["source"] for of in files)
+    assert f"diagnose {runs} --held-out RUN... --model bouc_wen --output DIR</code>" in page
     assert len(page.encode()) < 1_000_000
     footer = page.partition("<footer>")[2]
     assert f"mrd {VERSION} on {datetime.date.today().year}-" in footer

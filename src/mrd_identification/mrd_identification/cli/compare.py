@@ -53,7 +53,7 @@ def work() -> None:
         "--models",
         default="",
         metavar="ID[:LAW][+EFFECT...],...",
-        help="models, each optionally with a current law and effects, or +auto for selected ones (default: all)",
+        help="models, each optionally with a current law and effects; with --held-out, +auto selects these (default: all)",
     )
     add_method_arguments(parser, one_model=False)
     add_anyway(parser)
