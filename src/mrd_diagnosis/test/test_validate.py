@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError
+from mrd_base.quantities import per_cent
 from mrd_diagnosis import validate, write_validation
 from mrd_diagnosis.cli import validate as tool
 from mrd_diagnosis.report.validation_page import validation_sentence
@@ -131,6 +132,25 @@ def test_a_run_that_was_fitted_is_known_without_its_start(damper, files):
     assert len(part) < len(whole)
     found = validate(damper, [part, other], fitted=[whole])
     assert [validated.was_fitted for validated in found.runs] == [True, False]
+    made = [replace(each, info={}) for each in (whole, part)]
+    assert validate(damper, made[1:], fitted=made[:1]).runs[0].was_fitted
+
+
+def test_a_limit_is_for_runs_that_were_not_fitted(files, tmp_path, monkeypatch, capsys):
+    plant, (first, second) = files
+    monkeypatch.setattr(tool, "fitted_sources", lambda _: [first, "gone.csv", first])
+    arguments = ["--limit", "20", "--output", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", ["validate", plant, first, second, *arguments])
+    tool.work()
+    printed = capsys.readouterr().out
+    assert "The damper was fitted to run1; that error says nothing about new runs." in printed
+    assert "may not go beyond them: gone.csv." in printed
+    content = json.loads((tmp_path / "out" / "validation.json").read_text())
+    (of_new,) = (entry["nrmse"] for entry in content["runs"] if not entry["was_fitted"])
+    assert f"Within the limit of 20 %: {per_cent(of_new)} on the runs that were not fitted." in printed
+    monkeypatch.setattr(sys, "argv", ["validate", plant, first, *arguments])
+    with pytest.raises(InputError, match="was fitted to all of these runs"):
+        tool.work()
 
 
 @pytest.mark.parametrize(("limit", "status"), [("20", None), ("0.1", 1)])

@@ -12,9 +12,11 @@ from mrd_base import InputError
 from mrd_base.notebook import html_table, text_table
 from mrd_base.progress import ignore
 from mrd_base.quantities import per_cent
+from mrd_identification.effect_selection import selects
 from mrd_identification.fit import Fit
 from mrd_identification.identify import IdentificationTask, identify_all
 from mrd_identification.method import Method
+from mrd_identification.resampling import bootstrap_interval
 from mrd_identification.residual_correlation import correlation_length, independent_segments
 from mrd_runs import Run
 from mrd_runs.run import checked_runs
@@ -45,7 +47,7 @@ class RankedModel:
         Id of the model, with the current law and the effects where they were given.
     fit : Fit
     nrmse : float
-        Over all held-out samples.
+        Over all held-out samples; inf where the model diverges on one.
     lower, upper : float
         95 % bootstrap interval of ``nrmse``; nan where there is too little held-out data.
     difference : float
@@ -62,6 +64,11 @@ class RankedModel:
     difference: float
     difference_lower: float
     difference_upper: float
+
+    @property
+    def error(self) -> str:
+        """`nrmse` as text."""
+        return per_cent(self.nrmse) if np.isfinite(self.nrmse) else "diverges"
 
     @property
     def free(self) -> int:
@@ -118,7 +125,7 @@ class Comparison:
         return [
             (
                 entry.name,
-                per_cent(entry.nrmse),
+                entry.error,
                 f"{100 * entry.lower:.3g} to {100 * entry.upper:.3g} %" if np.isfinite(entry.lower) else "not known",
                 str(entry.free),
                 "on par with the best" if entry.on_par else "",
@@ -166,7 +173,8 @@ def compare(
     Raises
     ------
     InputError
-        As `identify`; also for a single run without held-out runs, and for a model that is given twice.
+        As `identify`; also for a single run without held-out runs, for effects that are to be selected without them, for a
+        model that is given twice, and where every model diverges on a held-out run.
     """
     runs, held_out = checked_runs(runs, least=0), checked_runs(held_out, "held_out", least=0)
     names = list(models or MODELS)
@@ -177,10 +185,21 @@ def compare(
         raise InputError("without least squares no run is left out in turn: give held-out runs")
     if len(runs) < 2 and not held_out:
         raise InputError("one run and no held-out run: give at least two runs, or held-out ones")
-    tasks = [_task(name, tuple(runs), tuple(held_out), common) for name in names]
+    rows = [parse_row(name, common) for name in names]
+    check_selection(rows, held_out)
+    tasks = [IdentificationTask(tuple(runs), model, tuple(held_out), of_row) for model, of_row in rows]
     total = sum(task.method.total_generations for task in tasks)
     fits = identify_all(tasks, scheduler=scheduler, progress=lambda generation, _: progress(generation / total))
     return rank(names, fits)
+
+
+def check_selection(rows: Sequence[tuple[str, Method]], held_out: Sequence[Run]) -> None:
+    """Raise `InputError` where effects are to be selected by the very runs by whose errors the models are ranked."""
+    if not held_out and any(selects(method.effects) for _, method in rows):
+        raise InputError(
+            "auto selects effects by all fitted runs, so none of these can judge them by being left out: give held-out "
+            "runs, with --held-out RUN..."
+        )
 
 
 def rank(names: Sequence[str], fits: Sequence[Fit]) -> Comparison:
@@ -190,30 +209,27 @@ def rank(names: Sequence[str], fits: Sequence[Fit]) -> Comparison:
     errors = [np.concatenate([r.modelled_counted - r.measured_counted for r in fit_results]) for fit_results in results]
     edges = np.cumsum([0, *(len(result.measured_counted) for result in results[0])])
     blocks = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+    with np.errstate(over="ignore", invalid="ignore"):  # the force of a model may diverge on runs that it was not fitted to
+        finite = np.array([np.isfinite(error @ error) for error in errors])
+    if not finite.any():
+        raise InputError(
+            f"the force of {' and of '.join(names)} diverges on held-out runs, expected a model that predicts them"
+        )
+    errors = [error for error, is_finite in zip(errors, finite, strict=True) if is_finite]
     resample_runs = len(blocks) >= FEWEST_RUNS
     units = blocks if resample_runs else independent_segments(blocks, _correlation_within_runs(errors, blocks))
-    nrmse, drawn = _bootstrap(force, errors, units)
+    nrmse, drawn = np.full(len(fits), np.inf), np.full((len(fits), RESAMPLES), np.nan)
+    nrmse[finite], drawn[finite] = _bootstrap(force, errors, units)
     if not resample_runs and len(units) < FEWEST_SEGMENTS:
         drawn[:] = np.nan
     best = int(np.argmin(nrmse))
-    entries = [
-        RankedModel(
-            names[index],
-            fits[index],
-            float(nrmse[index]),
-            *_interval(drawn[index]),
-            float(nrmse[index] - nrmse[best]),
-            *_interval(drawn[index] - drawn[best]),
-        )
-        for index in np.argsort(nrmse, kind="stable")
-    ]
+    entries = []
+    for index in np.argsort(nrmse, kind="stable"):
+        error, difference = float(nrmse[index]), float(nrmse[index] - nrmse[best])
+        lower, upper = bootstrap_interval(error, drawn[index], len(units))
+        between = bootstrap_interval(difference, drawn[index] - drawn[best], len(units))
+        entries.append(RankedModel(names[index], fits[index], error, max(lower, 0.0), upper, difference, *between))
     return Comparison(tuple(entries), fits[0].held_out_by, "runs" if resample_runs else "segments", len(units))
-
-
-def _interval(drawn: Array) -> tuple[float, float]:
-    """Return the central 95 % interval of bootstrap values."""
-    lower, upper = np.quantile(drawn, (0.025, 0.975))
-    return float(lower), float(upper)
 
 
 def _correlation_within_runs(errors: Sequence[Array], blocks: Sequence[slice]) -> int:
@@ -254,8 +270,3 @@ def parse_row(name: str, method: Method) -> tuple[str, Method]:
     method = replace(method, laws=law or method.laws, effects=(*method.effects, *effects))
     find_model(model, law, method.given_effects)
     return model, method
-
-
-def _task(name: str, runs: tuple[Run, ...], held_out: tuple[Run, ...], method: Method) -> IdentificationTask:
-    model, method = parse_row(name, method)
-    return IdentificationTask(runs, model, held_out, method)

@@ -40,14 +40,17 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
                 "laws": entry.fit.model.laws,
                 "effects": [effect.id for effect in entry.fit.model.effects],
                 "free_parameters": entry.free,
-                "nrmse": {"value": entry.nrmse, "ci95": [finite_or_none(entry.lower), finite_or_none(entry.upper)]},
+                "nrmse": {
+                    "value": finite_or_none(entry.nrmse),
+                    "ci95": [finite_or_none(entry.lower), finite_or_none(entry.upper)],
+                },
                 "difference_to_best": {
-                    "value": entry.difference,
+                    "value": finite_or_none(entry.difference),
                     "ci95": [finite_or_none(entry.difference_lower), finite_or_none(entry.difference_upper)],
                 },
                 "on_par": entry.on_par,
                 "nrmse_fit": entry.fit.pooled_fitted.nrmse,
-                "rmse_N": entry.fit.pooled_held_out.rmse if entry.fit.pooled_held_out else 0.0,
+                "rmse_N": finite_or_none(entry.fit.pooled_held_out.rmse) if entry.fit.pooled_held_out else 0.0,
                 "elapsed_s": round(entry.fit.elapsed, 3),
                 "fit": f"{fit_folder(entry.name)}/fit.json",
                 "warnings": list(entry.fit.warnings),
@@ -145,7 +148,12 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
         error_chart=to_html(error_chart(comparison)),
         loops=to_html(figures.loops(best.held_out)),
         closer=closer_look(
-            best.held_out[0].run, {entry.name: entry.fit.held_out[0].modelled for entry in comparison.entries[:MOST_SHOWN]}
+            best.held_out[0].run,
+            {
+                entry.name: entry.fit.held_out[0].modelled
+                for entry in comparison.entries[:MOST_SHOWN]
+                if math.isfinite(entry.nrmse)
+            },
         ),
     )
 
@@ -159,7 +167,7 @@ def ranking(comparison: Comparison) -> list[tuple[str, ...]]:
             (
                 entry.name,
                 str(entry.free),
-                per_cent(entry.nrmse),
+                entry.error,
                 _interval(entry.lower, entry.upper),
                 "the best" if entry is comparison.best else difference,
                 per_cent(entry.fit.pooled_fitted.nrmse),

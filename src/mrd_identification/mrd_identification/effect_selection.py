@@ -363,7 +363,7 @@ def left_out_errors(problem: Problem, unit: Array, parts: Sequence[Samples]) -> 
     """Return the sum of squared residuals (parts,) in N² of each part, predicted by a fit without it.
 
     The optimum without a part is near the one with it, ``unit`` (free,). So a few Gauss-Newton steps with the derivatives at
-    ``unit`` lead there.
+    ``unit`` lead there. Where the first of them leads nowhere, the model is fitted without the part.
     """
     jacobian, residuals = problem.jacobian(unit), problem.residuals(problem.theta(unit))
     root = problem.robust_weights(residuals)
@@ -374,11 +374,15 @@ def left_out_errors(problem: Problem, unit: Array, parts: Sequence[Samples]) -> 
         weighted = jacobian * weight[:, None]
         gram = weighted.T @ weighted
         point, present = unit, residuals
-        for _ in range(STEPS_WITHOUT_PART):
+        for number in range(STEPS_WITHOUT_PART):
             step = _least_squares_step(gram, weighted.T @ (present * weight), -point, 1.0 - point)
             trial = np.clip(point + step, 0.0, 1.0)
             errors = problem.residuals(problem.theta(trial))
             if not np.sum((errors * weight) ** 2) < np.sum((present * weight) ** 2):
+                if number == 0:
+                    rest = replace(problem, left_out=part)
+                    point, _ = levenberg_marquardt(rest, unit, np.arange(len(unit)), EVALUATIONS, CONVERGED)
+                    present = problem.residuals(problem.theta(point))
                 break
             point, present = trial, errors
         return float(np.sum((present * problem.robust_weights(present))[part] ** 2))

@@ -185,10 +185,10 @@ def metrics_json(metrics: Metrics) -> dict[str, Any]:
     """Describe metrics in a JSON file."""
     return {
         "samples": metrics.samples,
-        "rmse_N": metrics.rmse,
+        "rmse_N": finite_or_none(metrics.rmse),
         "nrmse": finite_or_none(metrics.nrmse),
         "fit_percent": finite_or_none(metrics.fit_percent),
         "vaf": finite_or_none(metrics.vaf),
-        "e2_N": metrics.e2,
-        "einf_N": metrics.einf,
+        "e2_N": finite_or_none(metrics.e2),
+        "einf_N": finite_or_none(metrics.einf),
     }

@@ -83,7 +83,8 @@ def fit_warnings(
 
 
 def _too_few_segments(problem: Problem, uncertain: Uncertainty) -> list[str]:
-    parameters = int(np.sum(~uncertain.on_bound)) + problem.run_offsets
+    seen = uncertain.sensitivity.any(axis=0)  # what does not change the force has no interval in any case
+    parameters = int(np.sum(seen & ~uncertain.on_bound)) + problem.run_offsets
     needed = parameters + LEAST_DEGREES_OF_FREEDOM
     if not 0 < uncertain.segments < needed:
         return []

@@ -1,5 +1,6 @@
 """Identify a damper model from recordings: NSGA-II, least squares, and an assessment of the result."""
 
+import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,9 +26,9 @@ from mrd_identification.recording import Recording, prepare_recording, run_weigh
 from mrd_identification.run_start import estimate_starts, fit_with_starts
 from mrd_identification.uncertainty import Uncertainty, uncertainty
 from mrd_runs import Run
-from mrd_runs.run import checked_runs
+from mrd_runs.run import checked_runs, same_samples
 from mrd_runs.scales import Scales, scales_of
-from mrd_sim.models import find_model
+from mrd_sim.models import DamperModel, find_model
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -43,6 +44,8 @@ MOST_SELECTION_SAMPLES = 6000
 SELECTED_WITH_ALL_RUNS = (
     "The held-out error is too small: the run that is left out helped to select the effects; give --held-out to judge them"
 )
+
+NO_INTERVALS_AT_KNEE = "There are no confidence intervals: without least squares, the result is no optimum of the error"
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,11 @@ class IdentificationTask:
             for signal, values in (("position", run.position), ("force", run.force)):
                 if np.ptp(values) == 0:
                     raise InputError(f"{run.name}: {signal} never changes; nothing can be identified from it")
+        for run, other in itertools.combinations((*self.runs, *self.held_out), 2):
+            if same_samples(run, other):
+                raise InputError(
+                    f"{run.name} and {other.name} are the same recording; expected each once, either fitted or held out"
+                )
 
 
 def identify(
@@ -108,7 +116,8 @@ def identify(
     Raises
     ------
     InputError
-        For an unknown model, law, effect, parameter, loss or weights, no runs, or runs whose rod or force does not move.
+        For an unknown model, law, effect, parameter, loss or weights, no runs, runs whose rod or force does not move, or a
+        run that is given twice.
     """
     fitted, set_aside = checked_runs(runs, least=0), checked_runs(held_out, "held_out", least=0)
     task = IdentificationTask(tuple(fitted), model, tuple(set_aside), replace(method or Method(), **options))
@@ -231,6 +240,7 @@ def select(
     stride = -(-sum(len(recording.force) for recording in recordings) // MOST_SELECTION_SAMPLES)
     scales = scales_of(runs)
     problem, _ = _pose(recordings, model, method, scales)
+    problem = with_loss_scale(problem, solutions[0].front)
     best = min(solutions, key=lambda solution: problem.cost(solution.theta))
     recordings = estimate_starts(problem.model, best.theta, recordings)
     thinned = [replace(r, counted=slice(r.counted.start, r.counted.stop, stride)) for r in recordings]
@@ -275,23 +285,18 @@ def assess(
         recordings = list(problem.recordings)
     fitted = evaluate_model(problem.model, theta, recordings)
     if held_out:
-        # In the order of recording, so that a state such as heat is carried over from the fitted runs.
-        # Their starts do not depend on the fit, so that none of the possible ones misleads it.
-        others = [replace(r, path=r.path.led_in(None)) for r in map(prepare_recording, held_out)]
-        every = [*recordings, *others]
-        every[len(recordings) :] = estimate_starts(problem.model, theta, every)[len(recordings) :]
-        predicted, held_out_by = evaluate_model(problem.model, theta, every)[len(recordings) :], "runs"
+        predicted = _predicted(problem.model, theta, recordings, list(map(prepare_recording, held_out)))
+        held_out_by = "runs"
     elif len(runs) > 1 and method.least_squares:
-        predicted, warnings = _leave_one_out(
-            recordings, model, method, scales, [s.front for s in solutions], len(notes), step
-        )
+        predicted, warnings = _leave_one_out(problem, model, method, scales, [s.front for s in solutions], step)
         held_out_by = "leave-one-run-out"
         if selection:
             warnings = [*warnings, SELECTED_WITH_ALL_RUNS]
         notes = [*notes, *warnings]
     else:
         predicted, held_out_by = (), "none"
-    uncertain = uncertainty(problem, theta, profile=method.profile and method.least_squares, step=step)
+    uncertain = uncertainty(problem, theta, intervals=method.least_squares, profile=method.profile, step=step)
+    notes = [*notes, *([] if method.least_squares else [NO_INTERVALS_AT_KNEE])]
     thetas = [solution.theta for solution in solutions]
     return Fit(
         model=problem.model,
@@ -360,31 +365,40 @@ def _nrmse(problem: Problem, theta: Array) -> float:
     return nrmse(problem.errors(theta), problem.force)
 
 
+def _predicted(
+    model: DamperModel, theta: Array, before: Sequence[Recording], unseen: Sequence[Recording]
+) -> tuple[RunResult, ...]:
+    """Predict runs that were not fitted, in the order of recording: a state such as heat is carried over from those before.
+
+    Their starts are estimated anew, so that no start that was found with other parameters misleads them.
+    """
+    every = [*before, *(replace(recording, path=recording.path.led_in(None), other_starts=None) for recording in unseen)]
+    every[len(before) :] = estimate_starts(model, theta, every)[len(before) :]
+    return evaluate_model(model, theta, every)[len(before) :]
+
+
 def _leave_one_out(
-    recordings: Sequence[Recording],
-    model: str,
-    method: Method,
-    scales: Scales,
-    fronts: Sequence[Front],
-    notes: int,
-    step: Callable[[], None],
+    full: Problem, model: str, method: Method, scales: Scales, fronts: Sequence[Front], step: Callable[[], None]
 ) -> tuple[tuple[RunResult, ...], list[str]]:
     """Predict each run by a fit to the other runs, which starts at the candidate of the fronts that suits these best.
 
     The other runs are fitted as if the run had never happened. If a state such as heat outlasts a run, this makes the error
-    too large rather than too small. Also returns a warning that names the runs without which more parameters had to be
-    fixed than the ``notes`` of the fit to all runs say.
+    too large rather than too small. Also returns a warning that names the runs without which more parameters have to be
+    fixed than in the ``full`` problem of all runs.
     """
+    recordings = full.recordings
+    outlasts = any(effect.outlasts_run for effect in full.model.effects)
     thetas = np.concatenate([front.thetas for front in fronts])
-    results, less_determined = [], []
+    results: list[RunResult] = []
+    less_determined: list[str] = []
     for index, recording in enumerate(recordings):
-        problem, notes_without = _pose([*recordings[:index], *recordings[index + 1 :]], model, method, scales)
+        problem, _ = _pose([*recordings[:index], *recordings[index + 1 :]], model, method, scales)
         starts, norms = problem.project(problem.theta(problem.unit(thetas)))
         order = np.argsort(norms[:, 0], kind="stable")
         front = Front(starts[order], norms[order], 0)
         theta, _ = fit_least_squares(with_loss_scale(problem, front), front.thetas[0])
-        results.append(evaluate_model(problem.model, theta, recordings[: index + 1])[-1])
-        if len(notes_without) > notes:
+        results += _predicted(problem.model, theta, recordings[:index] if outlasts else [], [recording])
+        if len(problem.free) < len(full.free):
             less_determined.append(recording.run.name)
         step()
     if not less_determined:

@@ -1,6 +1,7 @@
 """Low-pass filters that recordings are processed with, before they come here."""
 
 import math
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -193,6 +194,14 @@ def with_force_filters(groups: Sequence[Sequence[Run]], options: Sequence[str], 
             raise InputError(f"{where} {option}: expected the name of a run: {', '.join(names)}")
         words |= dict.fromkeys([name] if name else names, word)
     return [[with_force_filter(run, words[run.name]) if run.name in words else run for run in group] for group in groups]
+
+
+def force_filter_arguments(runs: Sequence[Run]) -> str:
+    """Return the filters that the force of runs is known to have passed as options of a tool; empty where none is known."""
+    words = {run.name: str(run.info["force_filter"]) for run in runs if run.info.get("force_filter")}
+    of_all = set(words.values()) if len(words) == len(runs) else set()
+    options = list(of_all) if len(of_all) == 1 else [f"{name}={word}" for name, word in words.items()]
+    return "".join(f" --force-filter {shlex.quote(option)}" for option in options)
 
 
 def known_force_filter(run: Run) -> LowPass | None:

@@ -50,6 +50,7 @@ def nrmse(error: Array, force: Array) -> float:
     return float(np.sqrt(np.mean(error**2))) / spread if spread > 0 else float("inf")
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a model may diverge on a run to which it was not fitted
 def metrics(measured: Array, modelled: Array) -> Metrics:
     """Compare two equally long series of force in N."""
     error = measured - modelled

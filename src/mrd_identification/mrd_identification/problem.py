@@ -51,6 +51,8 @@ class Problem:
         Loss function of the residuals in least squares.
     loss_scale : float
         Residual in N above which a robust loss grows more slowly than the square.
+    left_out : ndarray of int or None
+        Places of samples that do not count.
     """
 
     model: DamperModel
@@ -60,6 +62,7 @@ class Problem:
     offsets: bool = False
     loss: Loss = "linear"
     loss_scale: float = 1.0
+    left_out: NDArray[np.intp] | None = None
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -167,6 +170,13 @@ class Problem:
         if self.loss == "soft_l1":
             return np.asarray((1 + ratio) ** -0.25)
         return np.asarray(np.maximum(ratio, 1.0) ** -0.25)
+
+    def relative_curvature(self, residuals: Array) -> Array:
+        """Return the second derivative of the loss of each residual over its weight, the square of `robust_weights`."""
+        ratio = (residuals / self.loss_scale) ** 2
+        if self.loss == "linear":
+            return np.ones_like(residuals)
+        return np.asarray(1 / (1 + ratio) if self.loss == "soft_l1" else (ratio <= 1).astype(float))
 
     def jacobian(self, unit: Array, indices: Sequence[int] | NDArray[np.intp] | None = None) -> Array:
         """Return the exact derivatives (samples, indices) of the residuals with respect to unit coordinates.
@@ -312,7 +322,11 @@ class Problem:
             errors = errors.copy()
             for block in self.blocks:
                 errors[block] -= errors[block].mean() - mean
-        return errors if self._equal_weights else errors * self.root_weight
+        errors = errors if self._equal_weights else errors * self.root_weight
+        if self.left_out is not None:
+            errors = errors.copy()
+            errors[self.left_out] = 0.0
+        return errors
 
 
 def _finite_norms(residuals: Array) -> tuple[float, float]:

@@ -32,6 +32,10 @@ CURRENT_DEVIATION = 0.025
 """A. Hum and filtered noise of a current sensor are smaller (an unfiltered ACS714-05B has 19 mA). A larger standard
 deviation that is no white noise either is a change of the current itself."""
 
+CURRENT_SHARE = 0.2
+"""The same as a share of the largest current, which counts where it is smaller: for coils of small currents. A current about
+zero is not judged by it, because its largest one may be noise."""
+
 OVER_NOISE = 1.5
 """Standard deviation of a current over that of its white noise, from which it changes."""
 
@@ -241,8 +245,11 @@ def current_levels(runs: Sequence[Run]) -> tuple[int, bool]:
 
 def current_varies(run: Run) -> bool:
     """Whether the coil current of a run changes by more than the noise of its sensor."""
-    least = LEAST_CURRENT_CHANGE * float(np.abs(run.current).max())
-    if np.std(run.current) > max(CURRENT_DEVIATION, least, OVER_NOISE * current_noise(run.current)):
+    largest = float(np.abs(run.current).max())
+    least = LEAST_CURRENT_CHANGE * largest
+    about_zero = abs(run.current.mean()) < SMALLEST.current
+    usual = CURRENT_DEVIATION if about_zero else min(CURRENT_DEVIATION, CURRENT_SHARE * largest)
+    if np.std(run.current) > max(usual, least, OVER_NOISE * current_noise(run.current)):
         return True
     window = max(5, int(NOISE_WINDOW * run.rate))
     # Of white noise with standard deviation sigma, the lower quartile of the absolute differences is 0.32 sqrt(2) sigma.

@@ -11,6 +11,7 @@ from mrd_base.tool import command
 from mrd_identification import figures
 from mrd_identification.effect_selection import LEAST_IMPROVEMENT
 from mrd_identification.fit import Fit
+from mrd_identification.low_pass import force_filter_arguments
 from mrd_identification.run_panels import closer_look
 from mrd_runs import Run
 from mrd_runs.read import run_arguments
@@ -70,7 +71,7 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
 
 def diagnose_command(fit: Fit) -> str:
     """Return the command that looks for the cause of the errors of a fit."""
-    runs = run_arguments([result.run for result in fit.fitted])
+    runs = _all_run_arguments(fit)
     model = model_arguments(fit.model.id, fit.model.laws)
     return f"{command('mrd_diagnosis', 'diagnose')} {runs} {model} --output DIR"
 
@@ -79,8 +80,15 @@ def next_command(fit: Fit) -> str:
     """Return the command that leads on: to other models where parameters are on bounds, else to what is still missing."""
     if not any(estimate.on_bound for estimate in fit.estimates):
         return diagnose_command(fit)
-    runs = run_arguments([result.run for result in fit.fitted])
-    return f"{command('mrd_identification', 'compare')} {runs} --output DIR"
+    return f"{command('mrd_identification', 'compare')} {_all_run_arguments(fit)} --output DIR"
+
+
+def _all_run_arguments(fit: Fit) -> str:
+    """Return the fitted and the held-out runs of a fit as arguments, with the filters that their force has passed."""
+    fitted = [result.run for result in fit.fitted]
+    held_out = [result.run for result in fit.held_out] if fit.held_out_by == "runs" else []
+    unseen = f" --held-out {run_arguments(held_out)}" if held_out else ""
+    return f"{run_arguments(fitted)}{unseen}{force_filter_arguments([*fitted, *held_out])}"
 
 
 def render(

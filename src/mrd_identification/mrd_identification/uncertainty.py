@@ -80,7 +80,7 @@ class SandwichCovariance:
     norm : ndarray (free,)
         Norm in N of the derivatives with respect to each unit coordinate, by which they are scaled.
     gram : ndarray (free, free)
-        Normal matrix of the scaled derivatives.
+        Normal matrix of the scaled derivatives: the second derivatives of the objective.
     scores : ndarray (segments, free)
         Derivative in N of half the objective of each independent segment.
     spare : int
@@ -119,20 +119,23 @@ class SandwichCovariance:
 
 
 def uncertainty(
-    problem: Problem, theta: Array, *, profile: bool = True, step: Callable[[], None] = lambda: None
+    problem: Problem, theta: Array, *, intervals: bool = True, profile: bool = True, step: Callable[[], None] = lambda: None
 ) -> Uncertainty:
     """Compute 95 % intervals of the free parameters at the optimum ``theta``.
 
     Residuals of a damper model are strongly correlated in time, so the covariance is the sandwich (JᵀJ)⁻¹ M (JᵀJ)⁻¹ whose
     middle M sums the scores Jᵀr over segments longer than that correlation (Liang & Zeger, 1986), and the degrees of freedom
-    of Student's t count segments, not samples. The profile (Venzon & Moolgavkar, 1988) fixes one parameter after the other
-    and refits the rest. It ends where the objective has risen to what the covariance implies for 95 %, so it includes
-    curvature and bounds. A parameter on a bound has a profile on its inner side.
+    of Student's t count segments, not samples. With a robust loss, the scores have its first derivative, and the normal
+    matrix its second one (Huber & Ronchetti, 2009, ch. 7.6). The profile (Venzon & Moolgavkar, 1988) fixes one parameter
+    after the other and refits the rest. It ends where the objective has risen to what the covariance implies for 95 %, so it
+    includes curvature and bounds. A parameter on a bound has a profile on its inner side.
 
     Parameters
     ----------
     problem : Problem
     theta : ndarray (parameters,)
+    intervals : bool
+        Compute intervals at all: there are none where ``theta`` is no optimum.
     profile : bool
         Compute the profiles, the costly part.
     step : callable
@@ -154,12 +157,12 @@ def uncertainty(
     if not (norm > 0).any():
         return result
     scaled = jacobian / np.where(norm > 0, norm, 1.0)
-    gram = scaled.T @ scaled
+    gram = scaled.T @ (scaled * problem.relative_curvature(residuals)[:, None])
     segments = _segments(problem, weighted, int(seen.sum()))
     scores = np.stack([scaled[segment].T @ weighted[segment] for segment in segments])
     result = replace(result, condition=_condition(gram[np.ix_(seen, seen)]), segments=len(segments))
     spare = len(segments) - int(seen.sum()) - problem.run_offsets
-    if spare < LEAST_DEGREES_OF_FREEDOM:
+    if not intervals or spare < LEAST_DEGREES_OF_FREEDOM:
         return result
     sandwich = SandwichCovariance(norm, gram, scores, spare, seen)
     result = _with_intervals(problem, theta, sandwich, result)

@@ -1,6 +1,7 @@
 """A comparison ranks models by held-out error, with intervals from common resamples, and tells which are on par."""
 
 import json
+from dataclasses import replace
 
 import jsonschema
 import numpy as np
@@ -9,8 +10,12 @@ import pytest
 from mrd_base import InputError
 from mrd_base.json_file import read_schema
 from mrd_base.quantities import per_cent
-from mrd_identification import compare, identify
+from mrd_identification import Method, compare, identify, metrics
+from mrd_identification.cli.compare import estimated_seconds
+from mrd_identification.compare import _bootstrap, parse_row, rank
 from mrd_identification.compare_file import sentence, write_comparison
+from mrd_identification.fit import pooled_metrics
+from mrd_identification.resampling import bootstrap_interval
 from mrd_runs import Run
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
@@ -76,7 +81,7 @@ def test_files_follow_their_schema_and_the_page_needs_no_network(comparison, tmp
     page = write_comparison(comparison, tmp_path).read_text()
     assert "<script src=" not in page
     assert len(page.encode()) < 1_000_000
-    assert "diagnose RUN... --model bouc_wen --output DIR</code>" in page
+    assert "diagnose RUN... --held-out RUN... --model bouc_wen --output DIR</code>" in page
     content = json.loads((tmp_path / "compare.json").read_text())
     assert content["schema"] == "mrd-comparison/3"
     jsonschema.validate(content, read_schema("mrd_identification", "compare"))
@@ -85,6 +90,48 @@ def test_files_follow_their_schema_and_the_page_needs_no_network(comparison, tmp
         assert f"| `{model['name']}` | {model['free_parameters']} | {per_cent(model['nrmse']['value'])} |" in table
         jsonschema.validate(json.loads((tmp_path / model["fit"]).read_text()), read_schema("mrd_identification", "fit"))
         assert model["name"] in page
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+def test_a_model_that_diverges_is_last_and_leaves_the_others_their_intervals(comparison, tmp_path, value):
+    first, *others = comparison.entries
+    result = replace(first.fit.held_out[0], modelled=np.where(first.fit.held_out[0].run.time > 3.0, value, 0.0))
+    result = replace(result, metrics=metrics(result.measured_counted, result.modelled_counted))
+    diverged = replace(first.fit, held_out=(result,), pooled_held_out=pooled_metrics([result]))
+    ranked = rank([entry.name for entry in (first, *others)], [diverged, *(entry.fit for entry in others)])
+    assert [entry.name for entry in ranked.entries] == [*(entry.name for entry in others), first.name]
+    assert [entry.on_par for entry in ranked.entries] == [True, False, False, False]
+    assert all(entry.lower < entry.nrmse < entry.upper for entry in ranked.entries[:-1])
+    assert "diverges" in ranked.summary()
+    assert "diverges" in write_comparison(ranked, tmp_path).read_text()
+    assert json.loads((tmp_path / "compare.json").read_text())["models"][-1]["nrmse"]["value"] is None
+    with pytest.raises(InputError, match=f"the force of {first.name} diverges"):
+        rank([first.name], [diverged])
+
+
+@pytest.mark.parametrize("units", [5, 9])
+def test_intervals_of_few_runs_cover_the_truth(units):
+    random = np.random.default_rng(units)
+    force = np.tile([-1.0, 1.0], units)
+    runs = [slice(2 * run, 2 * run + 2) for run in range(units)]
+    covered = []
+    for _ in range(600):
+        first, second = (np.repeat(random.normal(mean, 0.1, units), 2) for mean in (0.5, 0.6))
+        nrmse, drawn = _bootstrap(force, [first, second], runs)
+        lower, upper = bootstrap_interval(nrmse[0], drawn[0], units)
+        between = bootstrap_interval(nrmse[1] - nrmse[0], drawn[1] - drawn[0], units)
+        covered.append(
+            (lower <= np.hypot(0.5, 0.1) <= upper, between[0] <= np.hypot(0.6, 0.1) - np.hypot(0.5, 0.1) <= between[1])
+        )
+    shares = np.mean(covered, axis=0)
+    assert (shares >= 0.91).all()
+    assert (shares <= 0.98).all()
+
+
+def test_the_estimated_time_counts_the_selection_of_effects():
+    rows = [parse_row(name, Method()) for name in ("bingham", "bingham+auto")]
+    plain, selected = (estimated_seconds([method], 1000) for _, method in rows)
+    assert selected == pytest.approx(12 * plain)
 
 
 def test_five_held_out_runs_are_resampled():

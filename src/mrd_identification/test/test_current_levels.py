@@ -35,6 +35,17 @@ def test_a_wave_is_a_change(frequency: float, rate: float) -> None:
     assert current_varies(run_of(1.0 + 0.5 * np.sin(2 * np.pi * frequency * time), time, noise=0.02))
 
 
+@pytest.mark.parametrize("frequency", [20.0, 40.0, 60.0])
+def test_a_small_current_that_is_switched_fast_is_a_change(frequency: float) -> None:
+    square = np.where(np.sin(2 * np.pi * frequency * TIME + 0.1) > 0, 0.04, 0.0)
+    assert current_varies(run_of(square, noise=0.001))
+
+
+@pytest.mark.parametrize("level", [0.0, 0.1])
+def test_hum_of_a_sensor_is_no_change_of_a_small_current(level: float) -> None:
+    assert not current_varies(run_of(level + 0.02 * np.sin(2 * np.pi * 60.0 * TIME), noise=0.001))
+
+
 def test_a_step_is_a_change() -> None:
     assert current_varies(run_of(np.where(TIME > 7.0, 0.1, 0.05), noise=0.004))
 

@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from importlib import import_module
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,13 +12,17 @@ from mrd_base import InputError
 from mrd_identification import compare, identify, read_fit, write_fit
 from mrd_identification.cli.identify import main
 from mrd_identification.compare_file import write_comparison
-from mrd_identification.effect_selection import left_out_errors, parts_of
+from mrd_identification.effect_selection import Selection, left_out_errors, parts_of
+from mrd_identification.identify import Solution
 from mrd_identification.least_squares import fit_least_squares
-from mrd_identification.problem import make_problem
+from mrd_identification.method import Method
+from mrd_identification.nsga2 import Front
+from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import prepare_recording
 from mrd_identification.report import write_report
 from mrd_runs import Run
 from mrd_sim.models import find_model
+from mrd_sim.parameter import Parameter
 from mrd_sim.path import make_path
 
 OPTIONS = {"effects": ["auto"], "seeds": 1, "population": 16, "generations": 8, "profile": False}
@@ -122,6 +128,42 @@ def test_the_error_of_a_part_is_that_of_a_fit_without_it():
         assert error > np.sum(problem.errors(theta)[problem.blocks[index]] ** 2)
 
 
+class Exponential(Problem):
+    """The force is the exponential of the only parameter, which is far from linear."""
+
+    def forces(self, theta):
+        return np.full(len(self.force), np.exp(theta[0]))
+
+    def jacobian(self, unit, indices=None):
+        slope = self.scale(self.theta(unit))[0] * self.forces(self.theta(unit))
+        return self.counted(slope)[:, None]
+
+
+def test_a_part_without_which_the_optimum_is_far_away_is_predicted_from_there():
+    """The first step to the optimum of the second run, 1000, would lead beyond it by far."""
+    model = SimpleNamespace(parameters=(Parameter("force", "N", 0.0, -10.0, 10.0, "logarithm"),), linear=())
+    runs = [SimpleNamespace(force=np.full(count, level), weight=1.0) for count, level in ((97, 1.0), (3, 1000.0))]
+    problem = Exponential(model, runs, (0,), np.zeros(1))
+    unit = problem.unit(np.log([problem.force.mean()]))
+    errors = left_out_errors(problem, unit, [np.arange(97), np.arange(97, 100)])
+    assert errors == pytest.approx([97 * 999.0**2, 3 * 999.0**2], rel=0.02)
+
+
+def test_the_best_seed_is_chosen_by_the_loss_with_its_scale(monkeypatch):
+    module = import_module("mrd_identification.identify")
+    runs = runs_of(count=1, seconds=2.0)
+    problem, _ = make_problem(find_model("bingham"), [prepare_recording(run) for run in runs])
+    theta, _ = fit_least_squares(problem, problem.base)
+    scales, cost = [], Problem.cost
+    monkeypatch.setattr(Problem, "cost", lambda self, theta: scales.append(self.loss_scale) or cost(self, theta))
+    monkeypatch.setattr(module, "estimate_starts", lambda model, theta, recordings: recordings)
+    monkeypatch.setattr(module, "select_effects", lambda *_: Selection((), None, 5, False, {}, {}))
+    solutions = [Solution(Front(theta[None], np.ones((1, 2)), 0), theta, 0.0)] * 2
+    module.select(runs, "bingham", Method(loss="huber"), solutions)
+    assert len(scales) == 2
+    assert all(scale > 5.0 for scale in scales)  # the noise is 10 N
+
+
 def test_parts_are_runs_or_stretches_and_cover_every_sample():
     for count, parts_expected in ((1, 5), (2, 6), (5, 5), (23, 20)):
         problem, _ = make_problem(find_model("bingham"), [prepare_recording(r) for r in runs_of(count=count, seconds=1.0)])
@@ -163,6 +205,9 @@ def test_a_comparison_has_rows_with_effects(tmp_path):
 
 def test_unusable_requests_are_one_line():
     runs = runs_of(count=2, seconds=1.0)
+    for rows, options in ((["bingham", "bingham+auto"], {}), (["bingham"], {"effects": ["auto"]})):
+        with pytest.raises(InputError, match="auto selects effects by all fitted runs"):
+            compare(runs, rows, **options)
     with pytest.raises(InputError, match="effect auto is named twice"):
         identify(runs, "bingham", effects=["auto", "auto"])
     with pytest.raises(InputError, match="effect auto: effects are selected by least squares"):

@@ -5,6 +5,8 @@ import json
 import re
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,11 +16,15 @@ from mrd_base.json_file import make_folder
 from mrd_base.quantities import per_cent, quantity
 from mrd_base.version import VERSION
 from mrd_identification import figures, identify, load_damper, metrics, read_fit, write_fit
+from mrd_identification.fit_warnings import _too_few_segments
+from mrd_identification.low_pass import with_force_filter
 from mrd_identification.nsga2 import find_knee
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import consecutive_modelled_forces, prepare_recording
 from mrd_identification.report import MOST_RUNS, next_command, write_report
+from mrd_identification.uncertainty import Uncertainty
 from mrd_runs import Run
+from mrd_sim.lead_in import resting_lead_in
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
 
@@ -106,6 +112,8 @@ def test_without_least_squares_the_knee_is_the_result():
     run = simulate("bingham", {}, seconds=3, noise=1.0)
     fit = identify([run], "bingham", population=16, generations=8, seed=2, least_squares=False)
     assert np.array_equal(fit.theta, fit.front.thetas[fit.front.knee])
+    assert all(np.isnan(estimate.lower) for estimate in fit.estimates)
+    assert any(warning.startswith("There are no confidence intervals: without least squares") for warning in fit.warnings)
 
 
 def free_parameters(model, runs, **options):
@@ -428,7 +436,8 @@ def test_report_says_what_it_shows_and_where_it_comes_from(bouc_wen_fit, tmp_pat
     # Somebody who cannot see the figures is told what each of them draws.
     assert page.count('role="img"') == page.count('class="plot"')
     assert 'aria-label="Chart of force, N over velocity, mm/s and position, mm: measured, model"' in page
-    assert f"diagnose {' '.join(of.run.info['source'] for of in files)} --model bouc_wen --output DIR</code>" in page
+    runs = " ".join(of.run.info["source"] for of in files)
+    assert f"diagnose {runs} --held-out RUN... --model bouc_wen --output DIR</code>" in page
     assert len(page.encode()) < 1_000_000
     footer = page.partition("<footer>")[2]
     assert f"mrd {VERSION} on {datetime.date.today().year}-" in footer
@@ -442,8 +451,29 @@ def test_where_a_parameter_is_on_its_bound_other_models_are_the_next_step(bouc_w
     assert " diagnose " in next_command(replace(bouc_wen_fit, estimates=tuple(free)))
 
 
+def test_the_next_command_repeats_what_the_runs_are(bouc_wen_fit):
+    free = tuple(replace(estimate, on_bound=False) for estimate in bouc_wen_fit.estimates)
+
+    def of(result, source, word):
+        info = {"source": source} | ({"force_filter": word} if word else {})
+        return replace(result, run=replace(result.run, info=info))
+
+    passes = tuple(of(result, "a b.csv", "lowpass:40") for result in bouc_wen_fit.fitted)
+    unseen = of(bouc_wen_fit.held_out[0], "c.csv", "lowpass:40")
+    alike = replace(bouc_wen_fit, estimates=free, fitted=passes, held_out=(unseen,))
+    assert "diagnose 'a b.csv' --held-out c.csv --force-filter lowpass:40 --model" in next_command(alike)
+    other = replace(alike, held_out=(of(bouc_wen_fit.held_out[0], "c.csv", ""),))
+    assert "--force-filter run1=lowpass:40 --force-filter run2=lowpass:40 --model" in next_command(other)
+    assert "--held-out" not in next_command(replace(alike, held_out_by="leave-one-run-out"))
+
+
 def test_unusable_input_is_one_line():
     run = simulate("bingham", {}, seconds=2)
+    copy = replace(run, name="copy", force=run.force.copy())
+    for other in (run, copy, replace(copy.without_start(0.5), name="copy")):
+        for runs, held_out in (([run], [other]), ([run, other], [])):
+            with pytest.raises(InputError, match=f"run0 and {other.name} are the same recording"):
+                identify(runs, "bingham", held_out=held_out)
     motionless = Run("motionless", run.time, 0 * run.position, 0 * run.velocity, run.current, run.force)
     with pytest.raises(InputError, match="unknown model nosuch"):
         identify([run], "nosuch")
@@ -469,6 +499,33 @@ def test_a_run_that_is_left_out_does_not_influence_its_prediction():
         alone = identify([runs[1 - index]], "bingham", held_out=[runs[index]], **options)
         assert result.metrics.nrmse > 0.3
         assert result.metrics.nrmse == pytest.approx(alone.pooled_held_out.nrmse, rel=0.05)
+
+
+def test_a_run_without_which_fewer_parameters_are_determined_is_named():
+    """Whatever else is noted: a filter, or a law that two currents make a straight line."""
+    runs = [simulate("bingham", {}, seed=seed, current=0.1 * seed, seconds=2.0) for seed in (1, 2, 3)]
+    runs = [with_force_filter(run, "lowpass:200") for run in runs]
+    options = {"laws": "quadratic", "population": 8, "generations": 1, "seeds": 1, "profile": False}
+    fit = identify(runs, "bingham", **options)
+    assert any(warning.startswith("The held-out error of run1, run2, run3 is too large:") for warning in fit.warnings)
+
+
+def test_a_prediction_does_not_know_the_start_that_was_found_with_other_parameters():
+    predicted = import_module("mrd_identification.identify")._predicted
+    damper = find_model("bouc_wen")
+    recording = prepare_recording(simulate("bouc_wen", TRUTH, seconds=2.0, noise=0.5))
+    wrong = replace(recording, path=recording.path.led_in(resting_lead_in(5e-3, 1e-2, 0.01)))
+    first, second = (predicted(damper, damper.vector(TRUTH), [], [each])[0] for each in (recording, wrong))
+    assert np.array_equal(first.modelled, second.modelled)
+
+
+def test_parameters_that_never_have_an_interval_do_not_count_as_those_that_need_segments():
+    problem = SimpleNamespace(run_offsets=0)
+    sensitivity = np.ones((9, 4)) * [1.0, 1.0, 1.0, 0.0]
+    nan = np.full(4, np.nan)
+    uncertain = Uncertainty(nan, nan, nan, nan, np.eye(4), np.zeros(4, bool), np.zeros(4), 1.0, 8, sensitivity)
+    assert _too_few_segments(problem, uncertain) == []
+    assert "3 parameters need 8" in _too_few_segments(problem, replace(uncertain, segments=7))[0]
 
 
 def test_without_least_squares_no_run_is_left_out_in_turn():

@@ -18,6 +18,7 @@ from mrd_identification.residual_correlation import correlation_length
 from mrd_identification.uncertainty import uncertainty
 from mrd_runs import Run
 from mrd_sim.models import MODELS, find_model
+from mrd_sim.parameter import Parameter
 from mrd_sim.path import make_path
 
 LEVELS = (0.0, 0.1, 0.25, 0.4, 0.6, 0.8, 1.0)  # A
@@ -212,6 +213,33 @@ def assert_covers(holds):
     by_parameter = np.nanmean(holds, axis=0)
     assert 0.90 <= np.nanmean(holds) <= 0.99, by_parameter
     assert by_parameter.min() >= 0.86, by_parameter
+
+
+class Location(Problem):
+    """A problem whose only parameter is the force itself."""
+
+    def forces(self, theta):
+        return np.full(len(self.force), theta[0])
+
+    def jacobian(self, unit, indices=None):
+        return np.full((len(self.force), 1), self.scale(self.theta(unit))[0])
+
+
+@pytest.mark.parametrize("loss", ["linear", "soft_l1", "huber"])
+def test_intervals_of_a_robust_location_cover_the_truth(loss):
+    model = SimpleNamespace(parameters=(Parameter("force", "N", 0.0, -10.0, 10.0, "location"),), linear=())
+    random = np.random.default_rng(4)
+    covered = []
+    for _ in range(400):
+        recording = SimpleNamespace(force=random.standard_normal(100), weight=1.0)
+        problem = Location(model, [recording], (0,), np.zeros(1), loss=loss, loss_scale=0.5)
+        theta, _ = fit_least_squares(problem, np.zeros(1))
+        result = uncertainty(problem, theta, profile=len(covered) == 0)
+        if not covered:
+            profile = result.profile_upper - result.profile_lower
+            assert profile == pytest.approx(result.upper - result.lower, rel=0.15)
+        covered.append(bool(result.lower[0] <= 0.0 <= result.upper[0]))
+    assert 0.92 <= np.mean(covered) <= 0.98
 
 
 @pytest.mark.slow

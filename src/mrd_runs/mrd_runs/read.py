@@ -173,7 +173,8 @@ def run_arguments(runs: Sequence[Run], *more: str) -> str:
     """Return runs as arguments of a tool, with ``more`` of them and with what was skipped; ``RUN...`` where they were not
     read from files.
     """
-    sources = [str(run.info.get("source", "")) for run in runs]
+    # The passes of one file are runs of the same source.
+    sources = list(dict.fromkeys(str(run.info.get("source", "")) for run in runs))
     skipped = max((float(run.info.get("skipped_s", 0.0)) for run in runs), default=0.0)
     skip = f" --skip {skipped:g}" if skipped else ""
     named = shlex.join(sources) if all(sources) and "live samples" not in sources else "RUN..."

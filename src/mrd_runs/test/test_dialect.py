@@ -167,6 +167,8 @@ def test_quantities_are_found_by_names_and_units(header: str, names: list[str]) 
         ("force", "-0.5 kN", 2.0, -1000.0),
         ("current", "mA", 300.0, 0.3),
         ("temperature", "K", 293.15, 20.0),
+        ("temperature", "0.1 K", 2931.5, 20.0),
+        ("temperature", "100 °F", 0.68, 20.0),
         ("temperature", "°F", 212.0, 100.0),
     ],
 )

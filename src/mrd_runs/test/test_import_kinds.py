@@ -17,6 +17,7 @@ import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
 from mrd_runs import Run, read_run
+from mrd_runs.importing.rates import facts_of_lines, stated_rate
 from mrd_runs.importing.units import find_unit
 
 RATE, COUNT = 200, 600
@@ -234,6 +235,27 @@ def test_a_rate_above_a_table_without_times_is_used(imported: Any, tmp_path: Pat
         run = only(imported(f"{name} --current 0.5"))
         check(run)
         assert "the sample rate of 200 Hz is the one that the file states" in run.info["notes"]
+
+
+@pytest.mark.parametrize(
+    ("line", "rate"),
+    [
+        *((f"{name} 2{mark}000 Hz", 2000.0) for name in ("Sample Rate:", "Abtastrate;") for mark in " '’\u00a0\u202f"),
+        *(("Sample Rate: 1,000 Hz", 1000.0), ("Sample Rate: 10,000.5 Hz", 10000.5), ("Rate of 3", None)),
+        *(("Sample Rate: 2.048 kHz", 2048.0), ("Abtastrate;1000,5", 1000.5), ("Sample interval: 1.000 ms", 1000.0)),
+        *(("Sample Rate: 10,000 Hz", None), ("Abtastrate;10.000", None), ("Sample Rate,10,000 Hz", None)),
+        *(("Sample Rate,1000,4096", None), ("Sample Rate: 100 1000", None), ("Sample interval,0.004,s", 250.0)),
+        ("Sample Rate;1000;1000", 1000.0),
+    ],
+)
+def test_a_stated_rate_is_read_whole_or_not_at_all(line: str, rate: float | None) -> None:
+    assert stated_rate(facts_of_lines([line])) == pytest.approx(rate)
+    assert stated_rate([("Sample Rate", 10.125)]) == 10.125  # a number of a file that holds numbers is no text
+
+
+def test_a_rate_that_may_be_two_is_asked_for(imported: Any, tmp_path: Path) -> None:
+    table(tmp_path / "a.csv", "Position mm,Force N", 1e3 * position(TIME), force(TIME), above="Sample Rate: 10,000 Hz\n")
+    assert "--rate HZ" in imported("a.csv --current 0.5")
 
 
 def test_a_counter_tells_which_samples_are_missing(imported: Any, tmp_path: Path) -> None:

@@ -39,6 +39,12 @@ def test_files_are_read_with_what_the_rig_says(tmp_path):
         ("map: {torque: a}", "map: unknown quantity torque"),
         ("flip: force", "flip is 'force', expected a list of quantities"),
         ("current: a", "current is 'a', expected a number"),
+        ("rate: 0", "rig.yaml: rate is 0, expected a sample rate in Hz"),
+        ("rate: .nan", "rig.yaml: rate is nan, expected a sample rate in Hz"),
+        ("current: .inf", "rig.yaml: current is inf, expected a finite number of A"),
+        ("flip: [force, force]", "rig.yaml: flip is force force, expected each quantity once"),
+        ("units: {force: 0 N}", "rig.yaml: units: one unit of the force is 0 N, expected another number than 0"),
+        ("units: {force: V}", "rig.yaml: units: the force is in V, expected N"),
         ("", "is empty, expected a mapping"),
     ],
 )

@@ -49,6 +49,20 @@ def test_a_hole_of_one_channel_stays_a_gap(channel: str, rate: float | None, of_
         np.testing.assert_allclose(columns[name], np.sin(3.0 * (columns["time"] + begin)), atol=2e-3)
 
 
+@pytest.mark.parametrize("channel", ["acceleration", "velocity"])
+def test_a_slow_channel_that_is_not_needed_does_not_slow_down_the_others(channel: str) -> None:
+    given = {name: series(1000.0, 0.0, 2.0) for name in ("position", "force")} | {channel: series(20.0, 0.0, 2.0)}
+    columns, notes = synchronise(given, None, "file")
+    assert len(columns["time"]) == 2000
+    assert channel not in columns
+    assert any(note.startswith(f"the {channel} is left out: at 20 Hz") for note in notes)
+    columns, _ = synchronise(given, None, "file", asked=[channel])
+    assert np.median(np.diff(columns["time"])) == pytest.approx(0.05)
+    if channel == "velocity":
+        columns, _ = synchronise({name: given[name] for name in ("velocity", "force")}, None, "file")
+        assert np.median(np.diff(columns["time"])) == pytest.approx(0.05)
+
+
 def test_a_fast_series_is_not_averaged_over_a_gap_of_the_slowest() -> None:
     time, values = series(100.0, 0.0, 4.0)
     kept = (time < 1.0) | (time > 1.4)

@@ -15,6 +15,7 @@ from mrd_diagnosis.thresholds import THRESHOLDS, is_noise
 from mrd_diagnosis.wording.effect_names import STAGE_NAMES, effect_clause, effect_name, effect_names
 from mrd_diagnosis.wording.quantities import capitalised, format_error, format_probability, format_share, join_words
 from mrd_identification.correction import unproven_effects
+from mrd_identification.low_pass import force_filter_arguments
 from mrd_runs.read import run_arguments
 from mrd_runs.text import named_run
 from mrd_sim.effects import EFFECTS
@@ -395,7 +396,7 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     held_out = f" --held-out {run_arguments(diagnosis.held_out)}" if diagnosis.held_out else ""
     reference = f" --reference {run_arguments(diagnosis.reference)}" if diagnosis.reference else ""
     laws = diagnosis.model.laws
-    beside = f"{held_out}{reference}{_force_filter_arguments(diagnosis)}"
+    beside = f"{held_out}{reference}{force_filter_arguments((*diagnosis.runs, *diagnosis.held_out, *diagnosis.reference))}"
     diagnose = f"{command('mrd_diagnosis', 'diagnose')} {runs}{beside}"
     again = f"{command('mrd_diagnosis', 'diagnose')} {run_arguments(diagnosis.runs, 'NEW_RUN')}{beside}"
     record = ""
@@ -436,22 +437,14 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
         if model.freed:
             free = " ".join(f"--free {name}" for name in model.freed)
             identify = command("mrd_identification", "identify")
-            commands.append(f"{identify} {runs}{held_out} {model_arguments(model.model, laws)} {free} --output DIR")
+            filters = force_filter_arguments((*diagnosis.runs, *diagnosis.held_out))
+            commands.append(f"{identify} {runs}{held_out}{filters} {model_arguments(model.model, laws)} {free} --output DIR")
         else:
             model_and_laws = model_arguments(model.model, model.law)
             commands.append(f"{diagnose} {model_and_laws} --output DIR")
     if diagnosis.verdict == "partly_explained":
         commands += [apply, *reviews]
     return "\n".join(commands)
-
-
-def _force_filter_arguments(diagnosis: Diagnosis) -> str:
-    """Return the filters that the force is known to have passed, as options; empty where none is known."""
-    runs = (*diagnosis.runs, *diagnosis.held_out, *diagnosis.reference)
-    words = {run.name: str(run.info["force_filter"]) for run in runs if run.info.get("force_filter")}
-    of_all = set(words.values()) if len(words) == len(runs) else set()
-    options = list(of_all) if len(of_all) == 1 else [f"{name}={word}" for name, word in words.items()]
-    return "".join(f" --force-filter {shlex.quote(option)}" for option in options)
 
 
 def _remedies(diagnosis: Diagnosis) -> str:

@@ -16,14 +16,14 @@ from mrd_diagnosis.recordings.recording_set import RecordingSet
 from mrd_diagnosis.simulator.in_the_loop import SimulatorInLoop
 from mrd_diagnosis.simulator.stand_in import beside_model, represent, simulated_forces
 from mrd_identification.export import corrected_simulator, load_damper
-from mrd_identification.fit import Fit, RunResult, evaluate_model
+from mrd_identification.fit import Fit, RunResult, evaluate_model, pooled_metrics
 from mrd_identification.metrics import metrics, nrmse
 from mrd_identification.parallel import in_threads
 from mrd_identification.preflight.finding import Finding
 from mrd_identification.recording import Recording, prepare_recording
 from mrd_identification.run_start import estimate_starts
 from mrd_runs import Run
-from mrd_runs.run import checked_runs
+from mrd_runs.run import checked_runs, same_samples
 from mrd_runs.scales import scales_of
 from mrd_sim.damper import Damper
 from mrd_sim.simulators.simulator import Simulator
@@ -87,6 +87,12 @@ class Validation:
     fitted_known: bool
     limitations: tuple[Finding, ...] = ()
 
+    @property
+    def new_nrmse(self) -> float:
+        """Error over the runs to which the damper was not fitted; nan where it was fitted to all of them."""
+        new = [run.result for run in self.runs if not run.was_fitted]
+        return pooled_metrics(new).nrmse if new else float("nan")
+
 
 def validate(
     damper: Damper | Fit | Simulator | str | Path,
@@ -143,7 +149,7 @@ def validate(
             result,
             of_run,
             exceeded_ranges(recording, before),
-            any(_is_same(recording.run, run) for run in fitted),
+            any(is_same(recording.run, run) for run in fitted),
             offsets,
             gains,
         )
@@ -153,11 +159,10 @@ def validate(
     return replace(validation, limitations=limitations)
 
 
-def _is_same(run: Run, other: Run) -> bool:
+def is_same(run: Run, other: Run) -> bool:
     """Return whether two runs are of one recording; a part may have been left out at the start of either."""
-    if "checksum" in run.info and "checksum" in other.info:
-        return bool(run.info["checksum"] == other.info["checksum"])
-    return np.array_equal(run.force, other.force)
+    mine, its = run.info.get("checksum"), other.info.get("checksum")
+    return (mine is not None and mine == its) or same_samples(run, other)
 
 
 def _represented(

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+from collections.abc import Sequence
 
 from rich.table import Column, Table
 
@@ -18,7 +19,7 @@ from mrd_identification.cli.options import (
     read_arguments_runs,
     read_method,
 )
-from mrd_identification.compare import compare, parse_row
+from mrd_identification.compare import check_selection, compare, parse_row
 from mrd_identification.compare_file import COLUMNS, fit_folder, ranking, selections, sentence, write_comparison
 from mrd_identification.method import Method
 from mrd_runs.read import describe_runs
@@ -31,9 +32,9 @@ LONG, TOO_LONG = 60.0, 3600.0
 """Estimated seconds from which the time is announced, and from which it has to be asked for by ``--long``."""
 
 
-def estimated_seconds(models: int, samples: int, method: Method) -> float:
+def estimated_seconds(methods: Sequence[Method], samples: int) -> float:
     """Return about how long a comparison takes in s; models differ by a factor of three, machines by as much."""
-    return SECONDS_PER_SAMPLE * models * samples * method.population * method.generations * method.seeds
+    return SECONDS_PER_SAMPLE * samples * sum(method.population * method.total_generations for method in methods)
 
 
 def main() -> None:
@@ -52,7 +53,7 @@ def work() -> None:
         "--models",
         default="",
         metavar="ID[:LAW][+EFFECT...],...",
-        help="models, each optionally with a current law and effects, or +auto for selected ones (default: all)",
+        help="models, each optionally with a current law and effects; with --held-out, +auto selects these (default: all)",
     )
     add_method_arguments(parser, one_model=False)
     add_anyway(parser)
@@ -63,7 +64,9 @@ def work() -> None:
     runs, held_out = read_arguments_runs(arguments)
     look_at_runs([*runs, *held_out], arguments.anyway)
     models = arguments.models.split(",") if arguments.models else list(MODELS)
-    seconds = estimated_seconds(len(models), sum(map(len, runs)), method)
+    rows = [parse_row(name, method) for name in models]
+    check_selection(rows, held_out)
+    seconds = estimated_seconds([of_row for _, of_row in rows], sum(map(len, runs)))
     minutes = f"this takes about {max(seconds / 60, 1):.0f} min"
     if seconds > TOO_LONG and not arguments.long:
         raise InputError(
@@ -72,7 +75,6 @@ def work() -> None:
         )
     make_folder(arguments.output)
     for name in models:
-        parse_row(name, method)
         make_folder(f"{arguments.output}/{fit_folder(name)}")
     each = "once" if held_out else f"{1 + len(runs)} times: to all runs, and without each"
     announce(

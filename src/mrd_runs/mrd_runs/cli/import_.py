@@ -36,8 +36,7 @@ def work() -> None:
         of_rig.current if arguments.current is None else arguments.current,
         of_rig.rate if arguments.rate is None else arguments.rate,
     )
-    if mapped.rate is not None and not 0 < mapped.rate < 1e7:
-        raise InputError(f"--rate is {mapped.rate:g}, expected a sample rate in Hz")
+    mapped.check("--")
     wanted = Preparation(*_crop(arguments.crop), arguments.low_pass, arguments.decimate)
     files, skipped = find_files(arguments.files)
     for path in skipped:

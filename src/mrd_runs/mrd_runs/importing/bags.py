@@ -53,7 +53,7 @@ def _recordings(path: Path, mapped: Mapped) -> list[Recording]:
     passes, told, sources = read_topics(path, addresses, mapped.units.get("time", ""))
     recordings = []
     for one in passes:
-        columns, done = synchronise(one.series, mapped.rate, str(path))
+        columns, done = synchronise(one.series, mapped.rate, str(path), mapped.topics)
         notes = times_note([*told, *done], one.clocks)
         recordings.append(finish(path, columns, sources, mapped, notes, one.clocks))
     return recordings

@@ -20,6 +20,7 @@ from mrd_runs.validation import LARGEST_RATIO, MEDIAN_INTERVALS, magnitude_probl
 
 Array = NDArray[np.float64]
 
+LARGEST_RATE = 1e7  # Hz
 
 DOUBTED = 0.2
 """Share of the largest stroke and current of any damper, above which a number without a unit is rather in mm or mA."""
@@ -49,6 +50,15 @@ class Mapped:
     flip: tuple[str, ...] = ()
     current: float | None = None
     rate: float | None = None
+
+    def check(self, prefix: str) -> None:
+        """Raise `InputError` for what means nothing; ``prefix`` stands before the names of the fields in the message."""
+        if self.rate is not None and not 0 < self.rate < LARGEST_RATE:
+            raise InputError(f"{prefix}rate is {self.rate:g}, expected a sample rate in Hz")
+        if self.current is not None and not np.isfinite(self.current):
+            raise InputError(f"{prefix}current is {self.current:g}, expected a finite number of A")
+        if len(set(self.flip)) < len(self.flip):
+            raise InputError(f"{prefix}flip is {' '.join(self.flip)}, expected each quantity once")
 
 
 def times_note(clauses: Sequence[str], clocks: Mapping[str, str]) -> list[str]:

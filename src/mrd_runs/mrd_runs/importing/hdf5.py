@@ -68,7 +68,7 @@ def read_hdf5_table(path: Path) -> Table:
     h5py = load_extra("h5py", "h5py", "hdf5", path)
     columns: list[Column] = []
     places: dict[str, _Place] = {}
-    facts: list[tuple[str, str]] = []
+    facts: list[tuple[str, str | float]] = []
     beside: dict[str, dict[str, list[str]]] = {}
     grids: dict[str, _Grid] = {}
     single: list[tuple[str, str]] = []
@@ -89,8 +89,8 @@ def read_hdf5_table(path: Path) -> Table:
             columns.append(Column(name, text=f"a {kind} of MATLAB" if kind not in ("char", "cell") else kind))
             return
         if item.size == 1 and item.dtype.kind in "fiu":
-            facts.append((name.rpartition("/")[2], str(item[()].reshape(-1)[0] if item.shape else item[()])))
-            single.append(facts[-1])
+            facts.append((name.rpartition("/")[2], _number_or_text(item[()])))
+            single.append((facts[-1][0], str(np.ravel(item[()])[0])))
         if item.size == 1 and item.dtype.kind in "SO":
             single.append((name, text_of(item[()])))
         for field in item.dtype.names or ("",):
@@ -150,11 +150,11 @@ def _grid(attributes: Mapping[str, Any]) -> _Grid | None:
     return _Grid(1 / rate, start) if rate else None
 
 
-def _seconds(text: str) -> float | None:
+def _seconds(text: str | float) -> float | None:
     try:
         return float(text)
     except ValueError:
-        return clock_seconds(text)
+        return clock_seconds(str(text))
 
 
 def _read(h5py: Any, path: Path, places: Mapping[str, _Place], names: Sequence[str]) -> dict[str, Array]:
@@ -179,5 +179,7 @@ def _read(h5py: Any, path: Path, places: Mapping[str, _Place], names: Sequence[s
     return series
 
 
-def _number_or_text(value: Any) -> str:
-    return text_of(value) or (str(np.ravel(value)[0]) if np.size(value) == 1 else "")
+def _number_or_text(value: Any) -> str | float:
+    if np.size(value) == 1 and np.asarray(value).dtype.kind in "fiu":
+        return float(str(np.ravel(value)[0]))
+    return text_of(value)

@@ -51,7 +51,7 @@ def read_matlab_table(path: Path) -> Table:
         raise InputError(f"{path}: cannot be read as a MATLAB file ({one_line(error)})") from None
     columns: dict[str, Column] = {}
     arrays: dict[str, Any] = {}
-    numbers: list[tuple[str, str]] = []
+    numbers: list[tuple[str, float]] = []
     texts: list[tuple[str, str]] = []
     for name, leaf in leaves_of({key: value for key, value in content.items() if not key.startswith("__")}):
         if isinstance(leaf.values, np.ndarray) and leaf.values.dtype.kind in "fiu":
@@ -63,7 +63,7 @@ def read_matlab_table(path: Path) -> Table:
                 columns[column] = Column(column, unit or leaf.unit, time=leaf.time, problem=leaf.problem)
                 arrays[column] = leaf.values[index]
         elif isinstance(leaf.values, int | float | np.number):
-            numbers.append((name.rpartition(".")[2], f"{leaf.values:g}"))
+            numbers.append((name.rpartition(".")[2], float(leaf.values)))
         else:
             texts += [(name, leaf.values)] if isinstance(leaf.values, str) else []
             columns[name] = Column(name, text=_kind(leaf.values))
@@ -75,7 +75,8 @@ def read_matlab_table(path: Path) -> Table:
             f"{path}: holds no vectors of numbers{f' ({others})' if others else ''}; save time, position and force as "
             "vectors or as a structure of them (tables, timeseries and other objects of MATLAB can be read by MATLAB only)"
         )
-    described, remarks = with_facts_beside(list(columns.values()), [*numbers, *texts])
+    facts = [*((name, f"{number:g}") for name, number in numbers), *texts]
+    described, remarks = with_facts_beside(list(columns.values()), facts)
     return Table(
         described,
         lambda names: {name: np.ascontiguousarray(arrays[name], np.float64) for name in names},

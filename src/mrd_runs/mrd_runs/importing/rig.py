@@ -5,10 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mrd_base import InputError
 from mrd_base.config import read_yaml, unknown_key
 from mrd_runs.importing.finish import Mapped
-from mrd_runs.importing.units import COLUMNS, check_quantity
+from mrd_runs.importing.units import COLUMNS, check_quantity, to_si
 
 MAPPINGS = {"map": "columns", "topics": "topics", "units": "units"}
 """Entries that are mappings by quantity, with the field of `Mapped` that each becomes."""
@@ -49,7 +51,11 @@ def read_rig(file: str | Path) -> Mapped:
     for entry in ("current", "rate"):
         if entry in content:
             fields[entry] = _number(content[entry], f"{file}: {entry}")
-    return replace(Mapped(), **fields)
+    mapped = replace(Mapped(), **fields)
+    mapped.check(f"{file}: ")
+    for quantity, unit in mapped.units.items():
+        to_si(quantity, np.zeros(0), unit, f"{file}: units")
+    return mapped
 
 
 def _mapping(value: object, where: str) -> dict[str, str]:

@@ -116,12 +116,12 @@ def _has_date(value: object) -> bool:
     return isinstance(value, datetime.datetime | datetime.timedelta) or (isinstance(value, str) and has_date(value.strip()))
 
 
-def _facts(sheet: Any, first: int) -> Iterator[tuple[str, str]]:
+def _facts(sheet: Any, first: int) -> Iterator[tuple[str, str | float]]:
     """Yield each text above the table with what stands right of it."""
     for row in islice(_rows(sheet), first):
         for left, right in pairwise(cell for cell in row if cell is not None):
             if isinstance(left, str):
-                yield left, str(right)
+                yield left, right
 
 
 def _numbered(sheets: Sequence[_Sheet]) -> Iterator[tuple[str, list[Cell]]]:

@@ -1,6 +1,6 @@
 """Series that were recorded each on its own time, put onto one."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,8 @@ Series = tuple[Array, Array]
 
 MOTION = ("position", "velocity", "acceleration", "force")
 _SLOW = 3.0
-"""Intervals of the common time within one of a series, from which that series is held: it is that of a command."""
+"""Intervals of the common time within one of a series, from which that series is held: it is that of a command. A series
+of motion that a recording does not need is left out then."""
 _MOST_SAMPLES = 10**7
 _HOLE = 5.0
 """Interval of a series of motion or force, in its usual ones, from which nothing is interpolated in it."""
@@ -20,14 +21,17 @@ _USUAL = 0.95
 """Quantile of the intervals that is the usual one: times of receipt may come in bursts, between which nothing is missing."""
 
 
-def synchronise(series: Mapping[str, Series], rate: float | None, where: str) -> tuple[dict[str, Array], list[str]]:
+def synchronise(
+    series: Mapping[str, Series], rate: float | None, where: str, asked: Collection[str] = ()
+) -> tuple[dict[str, Array], list[str]]:
     """Put series onto the time that all of them cover.
 
-    The samples are those of the slowest of position, velocity, acceleration and force, so that none of them gets values that
-    nobody measured; or evenly spaced ones, where a rate is given. A series that is faster is averaged between the midpoints
-    of the samples: interpolation would alias its noise. One that is as fast is interpolated linearly. A current or a
-    temperature that is much slower keeps its last value. Where position, velocity, acceleration or force has a hole, there
-    are no samples: the time has a gap there.
+    The samples are those of the slower one of position (velocity, where there is no position) and force, so that neither
+    gets values that nobody measured; or evenly spaced ones, where a rate is given. A series that is faster is averaged
+    between the midpoints of the samples: interpolation would alias its noise. One that is about as fast is interpolated
+    linearly. An acceleration, or a velocity beside a position, that is much slower is left out; where it was asked for, the
+    samples are its own. A current or a temperature that is much slower keeps its last value. Where motion or force has a
+    hole, there are no samples: the time has a gap there.
 
     Parameters
     ----------
@@ -37,6 +41,8 @@ def synchronise(series: Mapping[str, Series], rate: float | None, where: str) ->
         In Hz.
     where : str
         Prefix of error messages.
+    asked : collection of str
+        Quantities that are not left out.
 
     Returns
     -------
@@ -51,7 +57,17 @@ def synchronise(series: Mapping[str, Series], rate: float | None, where: str) ->
         When the series have no time in common.
     """
     intervals = {name: float(np.median(np.diff(time))) if len(time) > 1 else np.inf for name, (time, _) in series.items()}
-    slowest = max((name for name in MOTION if name in series), key=intervals.__getitem__)
+    needed = ["position" if "position" in series else "velocity", "force"]
+    slowest = max(needed, key=intervals.__getitem__)
+    slow = [name for name in MOTION if name in series and intervals[name] > _SLOW * intervals[slowest]]
+    left_out = [name for name in slow if name not in asked]
+    slowest = max([slowest, *(name for name in slow if name in asked)], key=intervals.__getitem__)
+    notes = [
+        f"the {name} is left out: at {1 / intervals[name]:.4g} Hz it is much slower than the {slowest}; to slow that down "
+        f"as well, name the {name} with --map"
+        for name in left_out
+    ]
+    series = {name: values for name, values in series.items() if name not in left_out}
     moving = [series[name][0] for name in MOTION if name in series]
     begin, end = max(time[0] for time in moving), min(time[-1] for time in moving)
     if not begin < end:
@@ -70,7 +86,7 @@ def synchronise(series: Mapping[str, Series], rate: float | None, where: str) ->
     if len(common) < 2:
         raise InputError(f"{where}: the series have {len(common)} samples in common; expected one recording of all")
     step = float(np.median(np.diff(common)))
-    columns, notes = {"time": common - common[0]}, []
+    columns = {"time": common - common[0]}
     done: dict[str, list[str]] = {}
     beyond: list[str] = []
     for name, (time, values) in series.items():
@@ -91,12 +107,12 @@ def synchronise(series: Mapping[str, Series], rate: float | None, where: str) ->
                     "later; before that it has its first value" if word == "begins" else "earlier, and keeps its last value"
                 )
                 beyond.append(f"{name} {word} {missing:.3g} s {kept}")
-    notes = [f"the samples are {origin}" + "".join(f"; {' and '.join(names)} {how}" for how, names in done.items())]
-    notes += beyond + holes
+    told = [f"the samples are {origin}" + "".join(f"; {' and '.join(names)} {how}" for how, names in done.items()), *notes]
+    told += beyond + holes
     gap = float(np.diff(common).max())
     if gap > _HOLE * step:
-        notes.append(f"the longest gap between two samples is {gap:.3g} s, {gap / step:.0f} times the usual one")
-    return columns, notes if done or holes or rate is not None or gap > _HOLE * step else []
+        told.append(f"the longest gap between two samples is {gap:.3g} s, {gap / step:.0f} times the usual one")
+    return columns, told if done or notes or holes or rate is not None or gap > _HOLE * step else []
 
 
 @np.errstate(all="ignore")  # a stranger's numbers may be anything

@@ -1,6 +1,6 @@
 """Recordings in tables: their columns on one clock, pass by pass."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -85,9 +85,18 @@ def _recordings(path: Path, table: Table, mapped: Mapped) -> list[Recording]:
     if rate and mapped.rate is None:
         notes.append(f"the sample rate of {rate:g} Hz is the one that the file states")
     told += [] if rate else _compare_rates(table, clocks)
+    asked = {*mapped.columns, *mapped.units, *mapped.flip}
     return [
-        finish(path, columns, sources, mapped, [*notes, *times_note([*told, *more], of)], of, place)
-        for columns, of, more, place in _each_pass(path, table, wanted, raw, clocks, orders)
+        finish(
+            path,
+            columns,
+            {q: sources[q] for q in sources if q in columns},
+            mapped,
+            [*notes, *times_note([*told, *more], of)],
+            of,
+            place,
+        )
+        for columns, of, more, place in _each_pass(path, table, wanted, raw, clocks, orders, asked)
     ]
 
 
@@ -180,6 +189,7 @@ def _each_pass(
     raw: Mapping[str, Array],
     clocks: Mapping[str, Array],
     orders: Mapping[str, Passes],
+    asked: Collection[str],
 ) -> Iterator[tuple[dict[str, Array], dict[str, str], list[str], Callable[[int], str]]]:
     """Yield columns on one time, the clock of each quantity, clauses, and the places of the samples, pass by pass."""
     first = next(iter(clocks))
@@ -210,9 +220,10 @@ def _each_pass(
             _check_durations(path, wanted, parts)
             starts = {name: clocks[name][pieces[name][0]] for name in clocks}
             apart = max(starts.values()) - min(starts.values())
-            columns, done = synchronise(parts, None, str(path))
+            columns, done = synchronise(parts, None, str(path), asked)
             begin = f" that start {apart:.6g} s apart" if apart else " with times of their own"
-            yield columns, of, [*told, f"columns{begin} were put onto one time", *done], "sample {}".format
+            kept = {quantity: clock for quantity, clock in of.items() if quantity in columns}
+            yield columns, kept, [*told, f"columns{begin} were put onto one time", *done], "sample {}".format
 
 
 def _check_durations(path: Path, wanted: Mapping[str, Source], parts: Mapping[str, Series]) -> None:

@@ -54,7 +54,7 @@ def read_tdms_table(path: Path) -> Table:
             cut = file.file_status.incomplete_final_segment
             groups = [group for group in file.groups() if group.channels()]
             facts = [fact for each in (file, *groups) for fact in each.properties.items()]
-            rate = stated_rate((str(key), str(value)) for key, value in facts)
+            rate = stated_rate((str(key), value if isinstance(value, int | float) else str(value)) for key, value in facts)
             counts = {(group.name, channel.name): len(channel) for group in groups for channel in group.channels()}
             for group in groups:
                 prefix = f"{group.name}/" if len(groups) > 1 else ""

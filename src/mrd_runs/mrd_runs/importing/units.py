@@ -157,15 +157,18 @@ def to_si(quantity: str, values: Array, unit: str, where: str) -> Array:
         scale = 1.0 if number is None else float(number)
     except ValueError:
         found = None
+    if found and (scale == 0 or not np.isfinite(scale)):
+        raise InputError(f"{where}: one unit of the {quantity} is {one_line(unit)}, expected another number than {scale:g}")
     if found is None:
         raise InputError(
             f"{where}: the {quantity} is in {one_line(unit) or 'no unit'}, expected {', '.join(list(UNITS[quantity])[:9])}; "
             f"name its unit with --units {quantity}=UNIT, or what one unit of the file means with "
             f'--units {quantity}="NUMBER UNIT"'
         )
-    factor = scale * UNITS[quantity][found]
-    zero = _ZEROS.get(found, 0.0)
-    return values if factor == 1 and not zero else (values - zero) * factor
+    factor, zero = UNITS[quantity][found], _ZEROS.get(found, 0.0)
+    if zero:
+        return (values * scale - zero) * factor
+    return values if scale * factor == 1 else values * (scale * factor)
 
 
 def check_quantity(name: str, option: str) -> str:

@@ -12,6 +12,9 @@ _MULTIPLES = 0.99
 # Gap over the largest reading, up to which two readings are equal but for the rounding of a calibration.
 _ROUNDING = 1e-12
 
+# Samples with the same reading, over those that all but a tenth of the readings last, from which the channel stands still.
+_STANDSTILL = 10.0
+
 
 def rounding_error(readings: Array) -> float:
     """Return the largest rounding error, in their unit, that readings (n,) have as floating-point numbers."""
@@ -46,11 +49,13 @@ def quantisation_variance(readings: Array, resolution: float) -> float:
     """Return the variance of the quantisation error of a channel, at least the squared ``resolution``.
 
     The error of one reading has the variance step²/12. It stays the same while the reading does, so the variance is
-    multiplied by the mean number of samples between two changes: as white noise, it then weighs as much.
+    multiplied by the mean number of samples between two changes: as white noise, it then weighs as much. Standstill does
+    not count, however long it lasts: the channel tells nothing new there.
     """
     step = quantisation_step(readings, resolution)
-    samples_per_change = len(readings) / (1 + np.count_nonzero(np.diff(readings)))
-    return max(step**2 / 12 * samples_per_change, resolution**2)
+    lengths = np.diff(np.flatnonzero(np.concatenate([[True], np.diff(readings) != 0, [True]])))
+    samples_per_change = lengths[lengths <= _STANDSTILL * np.quantile(lengths, 0.9)].mean()
+    return max(step**2 / 12 * float(samples_per_change), resolution**2)
 
 
 def resolution(readings: Array) -> float:
