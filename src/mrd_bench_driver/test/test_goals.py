@@ -1,4 +1,4 @@
-"""What the client of the bench says of goals that nobody accepts; no node runs."""
+"""Goals that no node accepts, and what the client of the bench says then. No node runs here."""
 
 from types import SimpleNamespace
 from typing import Any

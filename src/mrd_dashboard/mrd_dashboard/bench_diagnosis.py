@@ -18,7 +18,7 @@ INTERRUPTED = (
     "The page was started again meanwhile. If the bench still works on this diagnosis, wait for its end or stop the bench; "
     "then go on."
 )
-"""How a diagnosis has ended that went on when the page ended."""
+"""What is said of a diagnosis that was still running when the page ended."""
 
 
 @dataclass(frozen=True)

@@ -367,7 +367,7 @@ def test_stated_units_are_converted(own_fmu, tmp_path):
 
 
 def test_units_in_names_are_converted(own_fmu, tmp_path):
-    """Of an FMU that declares no units."""
+    """The names have units where the FMU declares none."""
     given = signals()
     changes = [
         (f'name="{name}"', f'name="{new}"')

@@ -59,7 +59,8 @@ SPIKE_ACCELERATION = 600.0
 SPIKE_FORCE = 0.5
 """Distance of a single force from its neighbours, over the usual range of the force, that no damper makes."""
 SPIKE_OVER_NEIGHBOURS = 3.0
-"""The same over the span of its neighbours: beside a jump of the force at a reversal and within an impact, these differ."""
+"""Distance of a spike from its neighbours, over the distance between these. They differ at a jump of the force, as after a
+reversal, and within an impact; beside a spike they do not."""
 TOP_BAND = 0.8
 """Frequency over the Nyquist frequency from which the power of a well-sampled signal has fallen off."""
 ALIASED_POWER = 0.01
