@@ -20,7 +20,7 @@ RECIPE = Recipe(31, {"rich@100": 6}, sizes="reference", starts="rest")
 another form than the fitted model. None has mains hum, so the rate may be low."""
 
 LEAST_NAMED = 2
-"""Of four causes; one of the others is seen, but its size is not determined, so that it is not named."""
+"""Of four causes; not all of them are strong."""
 
 
 @pytest.mark.slow
