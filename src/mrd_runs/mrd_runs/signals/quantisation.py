@@ -12,8 +12,9 @@ _MULTIPLES = 0.99
 # Gap over the largest reading, up to which two readings are equal but for the rounding of a calibration.
 _ROUNDING = 1e-12
 
-# Samples with the same reading, over those that all but a tenth of the readings last, from which the channel stands still.
-_STANDSTILL = 10.0
+# Steps that a channel that stands still does not leave within a window: one that lasts so many of the longer readings, but
+# no less and no more than these shares of the recording.
+_STANDSTILL, _READINGS, _LEAST_SHARE, _LARGEST_SHARE = 2.5, 10.0, 1 / 200, 1 / 20
 
 
 def rounding_error(readings: Array) -> float:
@@ -53,9 +54,20 @@ def quantisation_variance(readings: Array, resolution: float) -> float:
     not count, however long it lasts: the channel tells nothing new there.
     """
     step = quantisation_step(readings, resolution)
-    lengths = np.diff(np.flatnonzero(np.concatenate([[True], np.diff(readings) != 0, [True]])))
-    samples_per_change = lengths[lengths <= _STANDSTILL * np.quantile(lengths, 0.9)].mean()
-    return max(step**2 / 12 * float(samples_per_change), resolution**2)
+    return max(step**2 / 12 * _samples_per_change(readings, step), resolution**2) if step else resolution**2
+
+
+def _samples_per_change(readings: Array, step: float) -> float:
+    """Return the mean number of samples between two changes where a channel moves; everywhere, if it hardly does."""
+    count = len(readings)
+    changes = np.concatenate([[True], np.diff(readings) != 0])
+    lengths = np.diff(np.append(np.flatnonzero(changes), count))
+    window = np.clip(_READINGS * np.quantile(lengths, 0.9), _LEAST_SHARE * count, _LARGEST_SHARE * count)
+    starts = np.arange(0, count, max(1, int(window)))
+    moves = np.maximum.reduceat(readings, starts) - np.minimum.reduceat(readings, starts) > _STANDSTILL * step
+    counted = moves if moves.any() else np.full(len(starts), True)
+    samples = np.diff(np.append(starts, count))[counted].sum()
+    return float(samples / max(1, np.add.reduceat(changes.astype(int), starts)[counted].sum()))
 
 
 def resolution(readings: Array) -> float:
