@@ -28,14 +28,6 @@ RISE_TOLERANCE = 0.1
 """Relative error of the rise of the objective at the end of a profile; it moves the end by a twentieth of the interval."""
 
 
-def half_width(units: int) -> float:
-    """Return half of a 95 % interval over the standard deviation that the scatter of so many units gives; nan for one unit.
-
-    It is Student's t, times the root of n / (n - 1), by which the deviation within a sample is too small.
-    """
-    return float(stdtrit(units - 1, 0.975) * np.sqrt(units / (units - 1))) if units > 1 else float("nan")
-
-
 @dataclass(frozen=True)
 class Uncertainty:
     """Uncertainty of the free parameters.

@@ -10,8 +10,8 @@ from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Interval, ParameterE
 from mrd_diagnosis.fitting.refit import Refit, scaled_inverse
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.least_squares import BOUND_TOLERANCE
+from mrd_identification.resampling import half_width
 from mrd_identification.residual_correlation import correlation_length
-from mrd_identification.uncertainty import half_width
 from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]
@@ -166,7 +166,7 @@ def bootstrap_interval(
     """Return a value with its 95 % interval within ``bounds``, from values ``drawn`` from so many units; nan is none.
 
     The quantiles of a bootstrap of few units are too near to the value, and are ``widened`` about it
-    (`mrd_identification.uncertainty.half_width`). What decides by an end was tried with the quantiles themselves.
+    (`mrd_identification.resampling.half_width`). What decides by an end was tried with the quantiles themselves.
     """
     if np.isnan(drawn).all() or (widened and units < 2):
         return Interval(value)

@@ -15,7 +15,7 @@ from mrd_diagnosis.localisation.oscillation import highest_frequency_of_motion
 from mrd_diagnosis.localisation.units import BETWEEN_UNITS
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.recording import Recording
-from mrd_identification.uncertainty import half_width
+from mrd_identification.resampling import half_width
 
 Array = NDArray[np.float64]
 

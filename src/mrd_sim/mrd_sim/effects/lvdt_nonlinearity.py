@@ -9,7 +9,7 @@ from mrd_sim.parameter import Parameter
 PARAMETERS = (
     Parameter("cubic", "", 0.0, -0.05, 0.05, "curve error n3 at the distance x_r, relative to it"),
     Parameter("gain", "", 0.0, -0.1, 0.1, "relative excess of the rod's true travel over the measured one, g"),
-    Parameter("reference", "m", 0.025, 0.025, 0.025, "distance x_r from the middle to which the curve error refers", free=False),
+    Parameter("reference", "m", 0.025, 0.025, 0.025, "distance x_r from the middle at which it has this error", free=False),
     Parameter("centre", "m", 0.0, -0.025, 0.025, "position of the middle of the transducer, x_c", place="centre"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
