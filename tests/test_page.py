@@ -304,6 +304,7 @@ def test_the_guide_leads_from_dropped_files_to_a_validated_cause(bench: PageBenc
     page.get_by_text(f"predicts {GUIDED[-1]}: the error is").wait_for(state="detached", timeout=ANSWER_TIMEOUT)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_a_hybrid_test_is_chosen_recorded_and_seen(browser: Any, tmp_path: Path) -> None:
     bench = PageBench(tmp_path, "--control")

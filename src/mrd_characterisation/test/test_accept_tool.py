@@ -102,7 +102,7 @@ def test_a_golden_damper_of_another_test_is_told_in_one_line(simulated_damper, s
         (["--reference", "{golden}", "--serial", "../x"], "--serial is '../x'"),
         (["--reference", "none.json"], "none.json: cannot be read"),
         (["--reference", "a.yaml", "b.yaml"], "--reference: found 2 files"),
-        (["--reference", "{golden}", "--sheet", "--field", "Customer"], "--field: Customer is no name"),
+        (["--reference", "{golden}", "--sheet", "--field", "Customer"], "--field: Customer is not a name"),
     ],
 )
 def test_bad_arguments_are_refused(shelf, tmp_path, monkeypatch, arguments, told):
