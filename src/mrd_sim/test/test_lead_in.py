@@ -64,7 +64,7 @@ def test_a_cut_recording_gives_the_force_of_the_uncut_one(model: str, effect: st
     # What a dashpot in series has let through over a minute is an offset of the run, which every fit allows for.
     led_in, from_rest = (error - error[len(error) // 2 :].mean() for error in (led_in, from_rest))
     if effect == "cavitation":
-        # A void that the strokes before have left is gone after four reversals, a long stroke; no motion of a moment shows it.
+        # A void that the strokes before have left is gone after a long one (four reversals); no motion of a moment shows it.
         reversals = np.flatnonzero(np.diff(np.signbit(cut.velocity)))
         led_in, from_rest = led_in[reversals[3] :], from_rest[reversals[3] :]
     rms = [float(np.sqrt(np.mean(error**2))) for error in (from_rest, led_in)]
