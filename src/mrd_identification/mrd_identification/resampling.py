@@ -15,10 +15,15 @@ def half_width(units: int) -> float:
     return float(stdtrit(units - 1, 0.975) * np.sqrt(units / (units - 1))) if units > 1 else float("nan")
 
 
-def bootstrap_interval(value: float, drawn: Array, units: int) -> tuple[float, float]:
-    """Return the 95 % interval about a value by the values (resamples,) of a bootstrap over so many units; nan without them.
+def widened(value: float, quantiles: Array, units: int) -> Array:
+    """Return the ends of an interval about a value from the ``quantiles`` of a bootstrap over so many units; nan for one.
 
-    The quantiles of a bootstrap of few units are too near to the value, and are widened about it.
+    The quantiles of a bootstrap of few units are too near to the value.
     """
-    lower, upper = value + half_width(units) / 1.96 * (np.quantile(drawn, (0.025, 0.975)) - value)
+    return value + half_width(units) / 1.96 * (quantiles - value)
+
+
+def bootstrap_interval(value: float, drawn: Array, units: int) -> tuple[float, float]:
+    """Return the 95 % interval about a value by the values (resamples,) of a bootstrap over so many units; nan for one."""
+    lower, upper = widened(value, np.quantile(drawn, (0.025, 0.975)), units)
     return float(lower), float(upper)

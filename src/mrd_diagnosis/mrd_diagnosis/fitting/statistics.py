@@ -9,8 +9,8 @@ from scipy.special import expit, softmax, stdtrit
 from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Interval, ParameterEstimate
 from mrd_diagnosis.fitting.refit import Refit, scaled_inverse
 from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_identification import resampling
 from mrd_identification.least_squares import BOUND_TOLERANCE
-from mrd_identification.resampling import half_width
 from mrd_identification.residual_correlation import correlation_length
 from mrd_sim.effects import EFFECTS
 
@@ -166,12 +166,12 @@ def bootstrap_interval(
     """Return a value with its 95 % interval within ``bounds``, from values ``drawn`` from so many units; nan is none.
 
     The quantiles of a bootstrap of few units are too near to the value, and are ``widened`` about it
-    (`mrd_identification.resampling.half_width`). What decides by an end was tried with the quantiles themselves.
+    (`mrd_identification.resampling.widened`). What decides by an end was tried with the quantiles themselves.
     """
     if np.isnan(drawn).all() or (widened and units < 2):
         return Interval(value)
-    widening = half_width(units) / 1.96 if widened else 1.0
-    ends = value + widening * (np.nanquantile(drawn, (0.025, 0.975)) - value)
+    quantiles = np.nanquantile(drawn, (0.025, 0.975))
+    ends = resampling.widened(value, quantiles, units) if widened else quantiles
     return Interval(value, *map(float, np.clip(ends, *bounds)))
 
 
