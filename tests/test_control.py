@@ -19,7 +19,7 @@ from mrd_base.nodes.bench_node import RECORDED, seconds
 from mrd_control.comparison import compare_with_twin, write_comparison
 from mrd_control.experiment import format_control_experiment, read_control_experiment
 from mrd_control.recording import loop_of_cycles, read_hybrid_run
-from mrd_control.ride import ride_metrics
+from mrd_control.ride import DataSheet, ride_metrics
 from mrd_interfaces.action import RunExperiment
 from mrd_interfaces.msg import ControlCycle
 from mrd_interfaces.srv import LoadExperiment
@@ -77,7 +77,7 @@ def test_a_hybrid_test_is_recorded_and_agrees_with_its_offline_twin(bench: Any, 
     assert bench.client.spin(lambda: len(replayed) >= count and replay.poll() is not None, 120)
     assert replay.returncode == 0
     again = loop_of_cycles(SHIPPED, replayed).part(SHIPPED.counted)
-    assert ride_metrics(SHIPPED.system.linear(), again, 0.0) == comparison.bench_ride
+    assert ride_metrics(SHIPPED.system.linear(), again, DataSheet(), 0.0) == comparison.bench_ride
 
     # What cannot run is refused before anything moves, with its number.
     stiff = replace(SHIPPED.system, passive_damping=0.0, lever_ratio=1.0)

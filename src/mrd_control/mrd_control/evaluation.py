@@ -19,7 +19,7 @@ from mrd_control.excitations import Excitation
 from mrd_control.laws import LAWS, Law, find_law
 from mrd_control.linear import LinearSystem
 from mrd_control.loop import LoopResult, run_loop
-from mrd_control.ride import Ride, ride_metrics
+from mrd_control.ride import DataSheet, Ride, ride_metrics
 from mrd_control.stability import Margin, check_stability
 from mrd_control.systems import System
 from mrd_control.tracking import Tracking, tracking
@@ -57,6 +57,8 @@ class Conditions:
         s, of the coil supply.
     actuator : Actuator or None
         Actuator of a hybrid test; without it emulated system and damper touch.
+    data_sheet : DataSheet
+        Of the damper.
     """
 
     rate: float = 1000.0
@@ -65,6 +67,7 @@ class Conditions:
     most_current: float = 1.0
     supply_lag: float = 0.003
     actuator: Actuator | None = None
+    data_sheet: DataSheet = field(default_factory=DataSheet)
 
     @property
     def samples(self) -> int:
@@ -193,7 +196,7 @@ def measure_case(
     if conditions.actuator:
         kept = slice(round(conditions.beginning * conditions.rate), None)
         followed = tracking(result.travel[kept], result.rod[kept], 1.0 / conditions.rate)
-    return ride_metrics(system, result, conditions.beginning), followed
+    return ride_metrics(system, result, conditions.data_sheet, conditions.beginning), followed
 
 
 def evaluate(

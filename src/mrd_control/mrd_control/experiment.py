@@ -21,6 +21,7 @@ from mrd_control.excitations import EXCITATIONS, Excitation, build_excitation
 from mrd_control.excitations.excitation import resolve_file
 from mrd_control.laws import Law, find_law
 from mrd_control.prediction import MODEL, PREDICTORS, find_predictor
+from mrd_control.ride import DataSheet
 from mrd_control.systems import SYSTEMS, System
 from mrd_identification.export import load_damper
 from mrd_sim.damper import Damper
@@ -53,6 +54,8 @@ class ControlExperiment:
     delay: float = quantity(0.0, "ms", "by which a setpoint has to come before the servo can follow it", lower=0, upper=0.1)
     lag: float = quantity(0.0, "ms", "of the rod behind what the servo follows", lower=0, upper=0.1)
     predictor: str = quantity(MODEL, doc=f"compensation of both: {', '.join([MODEL, *PREDICTORS])}")
+    stroke: float = quantity(DataSheet.stroke, "mm", "of the damper, from end to end", lower=1e-4, upper=2)
+    coil_resistance: float = quantity(DataSheet.coil_resistance, "ohm", "of the damper's coil", lower=0, upper=1e4)
     description: str = quantity("", doc="purpose of the experiment")
 
     def __post_init__(self) -> None:
@@ -71,6 +74,11 @@ class ControlExperiment:
     def actuator(self) -> Actuator:
         """What brings the emulated motion to the damper."""
         return Actuator(self.delay, self.lag, self.predictor)
+
+    @property
+    def data_sheet(self) -> DataSheet:
+        """What the metrics need to know of the damper."""
+        return DataSheet(self.stroke, self.coil_resistance)
 
     @property
     def block(self) -> float:

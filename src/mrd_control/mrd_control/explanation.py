@@ -80,14 +80,14 @@ def explain_difference(run: HybridRun, damper: Damper) -> Explanation:
     if len(causes) > MOST_CAUSES:
         raise InputError(f"damper {damper.description}: {len(causes)} causes, expected at most {MOST_CAUSES}")
     kept = slice(experiment.counted.start, min(experiment.counted.stop, len(run.bench.time)))
-    bench = asdict(ride_metrics(system, run.bench.part(kept), 0.0))
+    bench = asdict(ride_metrics(system, run.bench.part(kept), experiment.data_sheet, 0.0))
     rides: dict[frozenset[str], dict[str, float]] = {}
     for count in range(len(causes) + 1):
         for chosen in itertools.combinations(causes, count):
             twin = run_twin(_with_causes(experiment, damper, chosen), error if TRACKING in chosen else None)
             if twin.diverged:
                 raise InputError(f"the offline twin with {', '.join(chosen)} diverges at {twin.time[-1]:.2f} s")
-            rides[frozenset(chosen)] = asdict(ride_metrics(system, twin.part(kept), 0.0))
+            rides[frozenset(chosen)] = asdict(ride_metrics(system, twin.part(kept), experiment.data_sheet, 0.0))
     parts = {
         metric: {cause: _mean_change(rides, causes, cause, metric) for cause in causes}
         for metric, value in bench.items()

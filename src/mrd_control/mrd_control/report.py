@@ -100,6 +100,8 @@ def to_json(evaluation: Evaluation, fronts: Sequence[GainFront] = ()) -> dict[st
             "beginning_s": conditions.beginning,
             "most_current_A": conditions.most_current,
             "supply_lag_s": conditions.supply_lag,
+            "stroke_m": conditions.data_sheet.stroke,
+            "coil_resistance_ohm": conditions.data_sheet.coil_resistance,
             "actuator": asdict(conditions.actuator) if conditions.actuator else None,
         },
         "margins": {

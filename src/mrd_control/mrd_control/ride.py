@@ -11,10 +11,6 @@ from mrd_control.loop import LoopResult
 
 Array = NDArray[np.float64]
 
-COIL_RESISTANCE = 5.0
-"""Ohm, of the RD-8040-1 at ambient temperature (LORD technical data)."""
-STROKE = 0.055
-"""m, of the RD-8040-1 (LORD technical data)."""
 METRICS = {
     "acceleration": ("acceleration, m/s²", 1.0),
     "weighted": ("weighted acceleration (ISO 2631-1), m/s²", 1.0),
@@ -32,6 +28,22 @@ METRICS = {
 
 
 @dataclass(frozen=True)
+class DataSheet:
+    """What the metrics need to know of the damper; by default the RD-8040-1 at ambient temperature (LORD technical data).
+
+    Attributes
+    ----------
+    stroke : float
+        m, from end to end.
+    coil_resistance : float
+        Ohm.
+    """
+
+    stroke: float = 0.055
+    coil_resistance: float = 5.0
+
+
+@dataclass(frozen=True)
 class Ride:
     """Metrics of a run, without its beginning.
 
@@ -44,7 +56,7 @@ class Ride:
     travel, peak_travel : float
         rms about the mean, and largest distance from mid-stroke, of the damper in m.
     peak_share : float
-        The latter over half of `STROKE`: above 1 the damper would be at its end.
+        The latter over half of the stroke: above 1 the damper would be at its end.
     contact : float
         rms dynamic contact force in N, of the tyre; nan without one.
     contact_share : float
@@ -73,8 +85,8 @@ class Ride:
     switching: float
 
 
-def ride_metrics(system: LinearSystem, result: LoopResult, beginning: float = 2.0) -> Ride:
-    """Return the metrics of a loop, without the first ``beginning`` s."""
+def ride_metrics(system: LinearSystem, result: LoopResult, damper: DataSheet, beginning: float = 2.0) -> Ride:
+    """Return the metrics of a loop with a damper, without the first ``beginning`` s."""
     rate = 1.0 / float(result.time[1] - result.time[0])
     kept = slice(min(round(beginning * rate), len(result.time) - 2), None)
     n = len(system.mass)
@@ -91,13 +103,13 @@ def ride_metrics(system: LinearSystem, result: LoopResult, beginning: float = 2.
         weighted=weighted_rms(result.acceleration[kept], rate),
         travel=float(np.std(result.travel[kept])),
         peak_travel=peak,
-        peak_share=peak / (0.5 * STROKE),
+        peak_share=peak / (0.5 * damper.stroke),
         contact=dynamic,
         contact_share=dynamic / system.contact_load if system.contact_stiffness else math.nan,
         lift_off=float(np.mean(contact > system.contact_load)) if system.contact_stiffness else math.nan,
         drift=float(np.std(drifts, axis=0).max()),
         peak_drift=float(np.abs(drifts).max()),
-        energy=float(COIL_RESISTANCE * np.mean(result.current[kept] ** 2)),
+        energy=float(damper.coil_resistance * np.mean(result.current[kept] ** 2)),
         switching=float(np.count_nonzero(high[1:] & ~high[:-1]) / seconds),
     )
 

@@ -12,7 +12,7 @@ from mrd_control.comparison import compare_with_twin, write_comparison
 from mrd_control.experiment import damper_entry, read_control_experiment
 from mrd_control.explanation import PARAMETERS, TRACKING, explain_difference
 from mrd_control.recording import HybridRun, Timing
-from mrd_control.ride import ride_metrics
+from mrd_control.ride import DataSheet, ride_metrics
 from mrd_control.twin import run_twin
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import make_problem
@@ -39,7 +39,7 @@ def recorded(damper, error=None):
 def differences(run):
     kept = SHORT.counted
     system, twin = SHORT.system.linear(), run_twin(SHORT)
-    bench, modelled = (asdict(ride_metrics(system, result.part(kept), 0.0)) for result in (run.bench, twin))
+    bench, modelled = (asdict(ride_metrics(system, result.part(kept), DataSheet(), 0.0)) for result in (run.bench, twin))
     return {name: bench[name] - modelled[name] for name in bench}
 
 

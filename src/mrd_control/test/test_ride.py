@@ -6,7 +6,7 @@ import pytest
 from mrd_control.excitations import Bump
 from mrd_control.laws import LAWS
 from mrd_control.loop import run_loop
-from mrd_control.ride import COIL_RESISTANCE, ride_metrics, weighted_rms, weighting_k
+from mrd_control.ride import DataSheet, ride_metrics, weighted_rms, weighting_k
 from mrd_control.tracking import tracking
 
 RATE = 1000.0
@@ -32,13 +32,13 @@ def test_metrics_are_those_of_the_signals(car, bouc_wen):
     time = np.arange(12_000) / RATE
     base = np.stack([0.01 * np.sin(8 * time), 0.08 * np.cos(8 * time)], axis=1)
     result = run_loop(car, bouc_wen, LAWS["skyhook_on_off"], base, RATE)
-    ride, kept = ride_metrics(car, result, 2.0), slice(2000, None)
+    ride, kept = ride_metrics(car, result, DataSheet(0.2, 3.5), 2.0), slice(2000, None)
     assert ride.acceleration == pytest.approx(result.acceleration[kept].std())
     assert ride.contact == pytest.approx(190e3 * (result.state[kept, 1] - base[kept, 0]).std())
     assert ride.peak_travel == np.abs(result.travel[kept]).max()
-    assert ride.energy == pytest.approx(COIL_RESISTANCE * (result.current[kept] ** 2).mean())
+    assert ride.energy == pytest.approx(3.5 * (result.current[kept] ** 2).mean())
     assert ride.contact_share == pytest.approx(ride.contact / (360.0 * 9.80665))
-    assert ride.peak_share == pytest.approx(ride.peak_travel / 0.0275)
+    assert ride.peak_share == pytest.approx(ride.peak_travel / 0.1)
     assert ride.lift_off == 0.0
     high = result.commanded[kept] > 0.15
     assert ride.switching == pytest.approx(np.count_nonzero(np.diff(high.astype(int)) == 1) / 10.0)
@@ -49,7 +49,7 @@ def test_a_wheel_that_leaves_the_road_is_noticed(car, bouc_wen):
     """A bump of 10 cm: the tyre would have to pull for some time, and the damper reach its end."""
     base = Bump(height=0.1, length=2.0, speed=20.0).base(4000, RATE)
     result = run_loop(car, bouc_wen, LAWS["constant_current"], base, RATE)
-    ride = ride_metrics(car, result, 0.5)
+    ride = ride_metrics(car, result, DataSheet(), 0.5)
     pulls = 190e3 * (result.state[500:, 1] - base[500:, 0]) > 360.0 * 9.80665
     assert ride.lift_off == pytest.approx(pulls.mean())
     assert 0.0 < ride.lift_off < 0.2

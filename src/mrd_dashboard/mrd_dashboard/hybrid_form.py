@@ -125,7 +125,7 @@ def check_hybrid_test(text: str, limits: Limits) -> HybridCheck:
         "force_N": twin.force,
         "current_mA": 1e3 * twin.commanded,
     }
-    ride = ride_metrics(experiment.system.linear(), twin)
+    ride = ride_metrics(experiment.system.linear(), twin, experiment.data_sheet)
     values = {title: factor * getattr(ride, name) for name, (title, factor) in METRICS.items()}
     return HybridCheck(
         experiment.name,

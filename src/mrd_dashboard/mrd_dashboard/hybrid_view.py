@@ -80,7 +80,7 @@ def live_metrics(experiment: ControlExperiment | None, cycles: list[Any]) -> Liv
         ("peak error of the tracking, %", f"{100 * followed.peak:.2f}"),
     ]
     if experiment is not None:
-        ride = ride_metrics(experiment.system.linear(), loop_of_cycles(experiment, cycles), 0.0)
+        ride = ride_metrics(experiment.system.linear(), loop_of_cycles(experiment, cycles), experiment.data_sheet, 0.0)
         for name, (title, factor) in METRICS.items():
             value = factor * getattr(ride, name)
             if np.isfinite(value):

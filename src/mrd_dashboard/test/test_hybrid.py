@@ -10,7 +10,7 @@ import pytest
 
 from mrd_base import InputError
 from mrd_control.experiment import parse_control_experiment, read_control_experiment
-from mrd_control.ride import ride_metrics
+from mrd_control.ride import DataSheet, ride_metrics
 from mrd_control.twin import run_twin
 from mrd_dashboard.dashboard import run_next
 from mrd_dashboard.hybrid_form import AS_SHIPPED, CATALOGUES, check_hybrid_test, choices, fields, hybrid_text, shipped_form
@@ -87,7 +87,7 @@ def test_a_check_tells_margin_and_ride_of_the_twin(test_and_cycles) -> None:
     experiment, twin, _ = test_and_cycles
     found = check_hybrid_test(hybrid_text(shipped_form(SHIPPED), SHIPPED, {}), Limits())
     assert found.margin > found.delay == experiment.actuator.total_delay
-    ride = ride_metrics(experiment.system.linear(), twin)
+    ride = ride_metrics(experiment.system.linear(), twin, DataSheet())
     assert dict(found.ride)["acceleration, m/s²"] == f"{ride.acceleration:.4g}"
     assert max(found.curves["travel_mm"]) == pytest.approx(1e3 * twin.travel.max(), rel=0.02)
 
@@ -102,7 +102,7 @@ def test_a_check_refuses_a_motion_beyond_the_limits() -> None:
 def test_the_live_metrics_are_those_of_the_recording(test_and_cycles) -> None:
     experiment, twin, cycles = test_and_cycles
     rows = dict(live_metrics(experiment, cycles).rows)
-    ride = ride_metrics(experiment.system.linear(), twin, 0.0)
+    ride = ride_metrics(experiment.system.linear(), twin, DataSheet(), 0.0)
     assert rows["weighted acceleration (ISO 2631-1), m/s²"] == f"{ride.weighted:.4g}"
     assert rows["tyre load, N"] == f"{ride.contact:.4g}"
     assert float(rows["NRMS of the tracking, %"]) == 0.0
@@ -113,7 +113,7 @@ def test_metrics_of_the_latest_seconds_take_the_base_of_these_seconds(test_and_c
     first = 3000 // BLOCK
     rows = dict(live_metrics(experiment, cycles[first:]).rows)
     system = experiment.system.linear()
-    ride = ride_metrics(system, twin, 3.0)
+    ride = ride_metrics(system, twin, DataSheet(), 3.0)
     assert rows["tyre load, N"] == f"{ride.contact:.4g}"
 
 

@@ -18,6 +18,7 @@ from mrd_control.excitations.road import CLASSES
 from mrd_control.laws import LAWS, find_law
 from mrd_control.prediction import PREDICTORS
 from mrd_control.report import columns, knee_columns, knee_rows, rows, sentence, write_evaluation
+from mrd_control.ride import DataSheet
 from mrd_control.systems import SYSTEMS, System, read_system
 from mrd_identification.export import load_damper
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
@@ -89,6 +90,8 @@ def _conditions(arguments: argparse.Namespace) -> Conditions:
         ("--rate", arguments.rate, 50.0, 20e3),
         ("--duration", arguments.duration, 5.0, LONGEST),
         ("--most-current", arguments.most_current, 0.01, LARGEST_CURRENT),
+        ("--stroke", arguments.stroke, 0.1, 2000.0),
+        ("--coil-resistance", arguments.coil_resistance, 0.0, 1e4),
         ("--delay", arguments.delay or 0.0, 0.0, 200.0),
         ("--lag", arguments.lag, 0.0, 200.0),
         ("--population", arguments.population, 4, 1000),
@@ -102,7 +105,13 @@ def _conditions(arguments: argparse.Namespace) -> Conditions:
         actuator = None
     else:
         actuator = Actuator(1e-3 * arguments.delay, 1e-3 * arguments.lag, arguments.predictor)
-    return Conditions(arguments.rate, arguments.duration, most_current=arguments.most_current, actuator=actuator)
+    return Conditions(
+        arguments.rate,
+        arguments.duration,
+        most_current=arguments.most_current,
+        actuator=actuator,
+        data_sheet=DataSheet(1e-3 * arguments.stroke, arguments.coil_resistance),
+    )
 
 
 def _read_system(text: str) -> System:
@@ -191,6 +200,20 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--rate", type=float, default=1000.0, help="sample rate in Hz (default %(default)g)")
     parser.add_argument(
         "--most-current", type=float, default=1.0, help="largest current of the supply in A (default %(default)g)"
+    )
+    parser.add_argument(
+        "--stroke",
+        type=float,
+        default=1e3 * DataSheet.stroke,
+        metavar="MM",
+        help="stroke of the damper from end to end (default %(default)g)",
+    )
+    parser.add_argument(
+        "--coil-resistance",
+        type=float,
+        default=DataSheet.coil_resistance,
+        metavar="OHM",
+        help="resistance of its coil (default %(default)g)",
     )
     parser.add_argument("--delay", type=float, metavar="MS", help="dead time of the actuator of a hybrid test")
     parser.add_argument(
