@@ -64,7 +64,7 @@ def cluster(tmp_path_factory):
         for _ in range(2)
     ]
     with Client(scheduler_file=str(address_file), set_as_default=False) as client:
-        client.wait_for_workers(2, timeout=60)
+        client.wait_for_workers(2, timeout=240)
         address = client.scheduler.address
     yield address
     for process in processes:
@@ -92,7 +92,7 @@ def weigh(data, number, folder):
     return number * data[0].sum(), os.getpid()
 
 
-def wait_for(condition, seconds=60.0):
+def wait_for(condition, seconds=240.0):
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "timed out"
