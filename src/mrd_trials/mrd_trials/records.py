@@ -113,6 +113,8 @@ class Explanation:
         The class; empty where the effect is alone in it.
     plausible : tuple of str
         Effects among which the diagnosis expects the cause in nine of ten cases.
+    class_probability : float
+        That one of the members is the cause.
     """
 
     effects: tuple[str, ...]
@@ -123,6 +125,12 @@ class Explanation:
     level: str = "effect"
     members: tuple[str, ...] = ()
     plausible: tuple[str, ...] = ()
+    class_probability: float = 0.0
+
+    @property
+    def claimed_probability(self) -> float:
+        """Probability of what is claimed, the effect or one of the members."""
+        return self.class_probability if self.members else self.probability
 
 
 @dataclass(frozen=True)
@@ -301,7 +309,7 @@ class SequentialOutcome:
 
 R = TypeVar("R", GroundTruth, Submission, Evaluation, SequentialOutcome)
 
-_FORMATS: Mapping[type, int] = {Submission: 3, Evaluation: 3, SequentialOutcome: 2}
+_FORMATS: Mapping[type, int] = {Submission: 4, Evaluation: 3, SequentialOutcome: 2}
 """Version of the keys of a line. An answer has none: a commitment is the hash of its line."""
 
 _NAMES: Mapping[type, str] = {

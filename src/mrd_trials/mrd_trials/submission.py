@@ -183,6 +183,7 @@ def submission_of(plant: PublicPlant, diagnosis: Diagnosis) -> Submission:
             level=cause.level,
             members=tuple(member.effect for member in cause.members) if cause.level != "effect" else (),
             plausible=cause.plausible,
+            class_probability=cause.class_probability,
         )
         for cause in diagnosis.causes
     )

@@ -93,8 +93,8 @@ def test_a_line_that_is_not_a_record_is_refused(line):
 
 
 def test_a_line_of_another_format_is_refused():
-    line = to_json(Submission("p0001", "no_gap")).replace('"format":3', '"format":1')
-    with pytest.raises(InputError, match=r"here: is not a submission \(format 1, expected 3\)"):
+    line = to_json(Submission("p0001", "no_gap")).replace('"format":4', '"format":1')
+    with pytest.raises(InputError, match=r"here: is not a submission \(format 1, expected 4\)"):
         from_json(Submission, line, "here")
     with pytest.raises(InputError, match="format 3, expected None"):
         from_json(GroundTruth, to_json(Evaluation("p0001")), "here")

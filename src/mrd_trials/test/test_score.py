@@ -155,6 +155,17 @@ def test_a_name_counts_whatever_the_verdict(verdict):
     assert rich.calibration.count == 2
 
 
+def test_a_class_is_judged_by_its_own_probability():
+    """One of two effects that look alike has half of the probability, and their class has all of it."""
+    named = named_as_class("joint_play", "backlash", class_probability=0.95)
+    plants = [truth_of("a", "single", "backlash"), truth_of("b", "single", "coil_lag")]
+    found = score(plants, [Submission("a", "ambiguous", causes=(named,)), submit("b", "explained", ("coil_lag", 0.85))])
+    assert [(entry.mean, entry.right) for entry in found.tiers["rich"].calibration.curve] == [
+        (pytest.approx(0.85), Rate(1, 1)),
+        (pytest.approx(0.95), Rate(1, 1)),
+    ]
+
+
 def test_what_the_form_of_the_damper_contains_is_neither_right_nor_wrong():
     thinning = {"implied": ("shear_thinning",), "perturbed": True}
     plants = [truth_of("n", "null", **thinning), truth_of("a", "single", "backlash", **thinning)]

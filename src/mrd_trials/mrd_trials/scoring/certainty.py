@@ -10,14 +10,9 @@ from mrd_trials.scoring.rates import Calibration, Rate, calibration
 
 
 def calibration_of_names(results: PlantResults) -> Calibration:
-    """Compute the calibration of the effects that are named by themselves or first of their class."""
-    claims = [
-        (cause.probability, result.judge(cause.effects))
-        for result in results
-        if result.counts
-        for cause in result.submission.causes
-    ]
-    return _calibration((probability, right) for probability, right in claims if right is not None)
+    """Compute the calibration of what is named, each effect or class with the probability that is stated of it."""
+    claims = [claim for result in results if result.counts for claim in result.claims]
+    return _calibration((claim.claimed_probability, right) for claim, right in claims)
 
 
 def calibration_of_presence(results: PlantResults) -> Calibration:

@@ -171,7 +171,7 @@ def _reliability(score: TrialScore) -> Table:
         for name, tier in score.tiers.items()
         for entry in tier.calibration.curve
     ]
-    note = "Effects that are named by themselves or first of their class."
+    note = "What is named, each effect or class with the probability that is stated of it."
     return Table("Reliability", ("tier", "probability", "mean", "right"), tuple(rows), note)
 
 

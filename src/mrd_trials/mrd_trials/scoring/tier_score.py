@@ -24,7 +24,7 @@ class TierScore:
     classes : ClassRates
     strata : tuple of Stratum
     calibration : Calibration
-        Of the effects that are named by themselves or first of their class.
+        Of what is named, each effect or class.
     presence : Calibration
         Of the classes that were weighed by their evidence, named or not.
     coverage_by_effect : mapping
