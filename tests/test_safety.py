@@ -1,5 +1,6 @@
 """The safety concept on the whole bench: who may move rod and coil, who stops them, what happens without a supervisor."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -221,36 +222,50 @@ def find_node(tool: "subprocess.Popen[str]", name: str) -> psutil.Process:
     return found
 
 
+def wait_until_moving(tool: "subprocess.Popen[str]", folder: Path) -> None:
+    """Wait until a tool records a rod that moves."""
+    deadline = time.monotonic() + 90
+    while sum(file.stat().st_size for file in folder.glob("bag/*.mcap")) < 60_000:
+        assert tool.poll() is None, tool.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+DIES = ("supervisor", signal.SIGKILL, "supervisor ended with status -9", 20)
+HANGS = ("supervisor", signal.SIGSTOP, "supervisor has been silent for 2", 50)
+# The tool is told of the end of any node in the same way.
+DAQ_DIES = ("daq", signal.SIGKILL, "daq ended with status -9", 20)
+
+
 @pytest.mark.parametrize(
-    ("victim", "end", "line", "within"),
-    [
-        ("supervisor", signal.SIGKILL, "supervisor ended with status -9", 20),
-        # The tool is told of the end of any node in the same way.
-        pytest.param("daq", signal.SIGKILL, "daq ended with status -9", 20, marks=pytest.mark.slow),
-        ("supervisor", signal.SIGSTOP, "supervisor has been silent for 2", 50),
-    ],
+    "ends", [(HANGS, DIES), pytest.param((DAQ_DIES,), marks=pytest.mark.slow)], ids=["supervisor", "daq"]
 )
 def test_the_tool_stops_everything_when_a_node_dies_or_hangs(
-    victim: str, end: signal.Signals, line: str, within: float, tmp_path: Path
+    ends: tuple[tuple[str, signal.Signals, str, int], ...], tmp_path: Path
 ) -> None:
+    """Two benches run at once, because a node has to be silent for 20 s of wall time before it counts as hanging."""
     (tmp_path / "long.yaml").write_text(LONG)
-    with bench_tool(tmp_path / "out", str(tmp_path / "long.yaml")) as tool:
-        deadline = time.monotonic() + 90
-        while sum(file.stat().st_size for file in tmp_path.glob("out/bag/*.mcap")) < 60_000:
-            assert tool.poll() is None, tool.communicate()
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        find_node(tool, victim).send_signal(end)
-        begin = time.monotonic()
-        _, errors = tool.communicate(timeout=60)
-        print(f"{victim}: bench ended after {time.monotonic() - begin:.1f} s")
-        assert time.monotonic() - begin < within
-    assert tool.returncode == 1
-    assert f"error: {line}" in errors
-    run = read_run(tmp_path / "out/bag")
-    if victim != "daq":  # the rest of the braking is recorded, too
-        last = run.position[-100:].reshape(-1, 10).mean(axis=1)
-        assert np.ptp(last) < 2e-4
+    with contextlib.ExitStack() as stack:
+        folders = [tmp_path / f"out{number}" for number in range(len(ends))]
+        tools = [stack.enter_context(bench_tool(folder, str(tmp_path / "long.yaml"))) for folder in folders]
+        begun = []
+        for tool, folder, (victim, end, _, _) in zip(tools, folders, ends, strict=True):
+            wait_until_moving(tool, folder)
+            find_node(tool, victim).send_signal(end)
+            begun.append(time.monotonic())
+        # The last one first, which ends first.
+        for tool, folder, begin, (victim, end, line, within) in reversed(
+            list(zip(tools, folders, begun, ends, strict=True))
+        ):
+            _, errors = tool.communicate(timeout=60)
+            print(f"{victim} {end.name}: bench ended after {time.monotonic() - begin:.1f} s")
+            assert time.monotonic() - begin < within
+            assert tool.returncode == 1
+            assert f"error: {line}" in errors
+            run = read_run(folder / "bag")
+            if victim != "daq":  # the rest of the braking is recorded, too
+                last = run.position[-100:].reshape(-1, 10).mean(axis=1)
+                assert np.ptp(last) < 2e-4
 
 
 def test_a_bench_that_others_use_stops_everything_when_its_supervisor_dies(tmp_path: Path) -> None:
