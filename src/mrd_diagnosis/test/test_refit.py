@@ -232,6 +232,16 @@ def test_an_effect_with_which_the_model_diverges_scores_nothing(weighting, alone
         assert not np.isfinite(sum_of_squares(diverged))
 
 
+def test_a_model_that_diverges_predicts_nothing(weighting, monkeypatch):
+    """Its force may be finite where the squares of its derivatives are not."""
+    problem = neutral(weighting, "cavitation", THETA)
+    monkeypatch.setattr(type(problem), "jacobian", lambda self, unit, *_: np.full((len(self.force), len(self.free)), 1e200))
+    diverged = refit(problem, problem.theta(problem.unit(problem.model.defaults)), weighting.folds)
+    assert diverged.held_out_cost == np.inf
+    assert np.isfinite(diverged.information).all()
+    assert effect_parameters(diverged).keys() >= {"cavitation.stiffness"}
+
+
 def test_a_clearly_better_refit_has_all_the_probability(weighting, alone):
     worse = replace(alone, held_out_costs=alone.held_out_costs * 1.5)
     assert model_probabilities([alone, worse], np.random.default_rng(0)) == pytest.approx([1.0, 0.0], abs=1e-3)

@@ -115,7 +115,7 @@ def refit(
 
     Leaving a fold out moves the optimum a little. One Gauss-Newton step with the fold's contribution removed from the normal
     equations finds the new optimum without another fit. A parameter that only this fold determines takes its neutral value,
-    if it has one.
+    if it has one. A model that diverges at the optimum predicts nothing: its held-out costs are infinite.
 
     Parameters
     ----------
@@ -140,14 +140,21 @@ def refit(
     force = alone.forces(theta)
     jacobian = np.concatenate([alone.jacobian(unit), problem.white_remainder], axis=1)
     residuals = alone.counted(force - problem.force) + problem.white_remainder @ coefficients
-    normal_matrices = np.stack([jacobian[fold].T @ jacobian[fold] for _, fold in folds])
+    with np.errstate(over="ignore", invalid="ignore"):
+        normal_matrices = np.stack([jacobian[fold].T @ jacobian[fold] for _, fold in folds])
+    # A damper of negative viscosity diverges behind an element in series: its derivatives are no numbers any more.
+    diverges = not np.isfinite(normal_matrices).all()
+    if diverges:
+        jacobian, normal_matrices = np.zeros_like(jacobian), np.zeros_like(normal_matrices)
     gradients = np.stack([jacobian[fold].T @ residuals[fold] for _, fold in folds])
     costs = np.array([residuals[fold] @ residuals[fold] for _, fold in folds])
     joined = np.concatenate(null_errors, axis=1) if len(null_errors) else np.empty((0, len(residuals)))
     null_gradients = [joined[:, fold] @ jacobian[fold] for _, fold in folds]
     averaging = jacobian.T @ alone.counted(averaged_over_period(force, problem) - force)
-    thetas, of_remainder = without_each(problem, unit, coefficients, normal_matrices, gradients)
-    held_out = held_out_errors(problem, thetas, of_remainder, folds)
+    if diverges:
+        held_out: tuple[Array, ...] = 3 * (np.full(len(folds), np.inf),)
+    else:
+        held_out = held_out_errors(problem, *without_each(problem, unit, coefficients, normal_matrices, gradients), folds)
     return Refit(
         replace(problem),  # a copy without cached columns: fits of many effects are kept beside each other
         tuple(folds),
