@@ -195,13 +195,17 @@ def _draw_effects(design: PlantDesign, session: BenchSession | RecordedSession) 
     effects: Effects = {}
     for place, (wanted, target) in enumerate(zip(design.effects, design.targets, strict=True)):
         least = LEAST_REACHED * target if is_altered else DETECTABLE  # two effects of which one is hardly there are no pair
+        tried: list[tuple[float, str, float]] = []
         for effect in itertools.chain([wanted], substitutes):
 
             def signal_at(strength: float, place: int = place, effect: str = effect) -> float:
                 return strength_of(draw(place, effect, strength))
 
             strength, signal = find_strength(target, signal_at, STRONGEST)
+            tried.append((signal, effect, strength))
             if signal > least:
                 break
+        else:
+            _, effect, strength = max(tried)
         effects = {**effects, **draw(place, effect, strength)}
     return effects, strength_of(effects)

@@ -45,6 +45,10 @@ RECORDED_DETECTABLE = 1 / 3
 ALTERED_TIERS = (SEMIREAL, BEFORE_AFTER)
 """Tiers of measured recordings into which effects are put."""
 
+SUBSTITUTES = 3
+"""Effects that may take the place of one that cannot be made strong enough in measured recordings. With all of them, the few
+that can always be made strong, such as an end stop, were half of all plants."""
+
 LEAST_RECORDINGS = FRESH_RUNS + 4
 """Recordings that a damper of these tiers needs: two for each half of a comparison."""
 
@@ -125,7 +129,7 @@ class PlantDesign:
     damper : str
         Measured damper whose recorded motion is replayed.
     substitutes : tuple of str
-        Effects, in this order, for those that cannot be made strong enough.
+        Effects, in this order, for those that cannot be made strong enough; where none can, the strongest is taken.
     model : str
         Id of the damper model to be fitted.
     background : int
@@ -305,6 +309,7 @@ def _design_altered_tier(
     }
     names["pair"] = names["single"]
     turns = {kind: _turns(of_kind, rng) for kind, of_kind in names.items()}
+    next_substitute = {kind: _turns(of_kind, rng) for kind, of_kind in names.items()}
     next_same_runs = _turns((True, False), rng)
     background = itertools.cycle(range(1, backgrounds + 1))
     for kind, number in _numbers(recipe.shares, count):
@@ -315,12 +320,25 @@ def _design_altered_tier(
             design = PlantDesign("", kind, tier, (), damper, (), (), damper, (), model, place, recipe.family)
             if kind != "null":
                 first = turns[kind]()
-                others = [str(name) for name in rng.permutation(names[kind]) if name != first]
-                effects = (first, others.pop()) if kind == "pair" else (first,)
+                if kind == "pair":
+                    others = [str(name) for name in rng.permutation(names[kind]) if name != first]
+                    effects = (first, others.pop())
+                else:
+                    others, effects = _others(first, next_substitute[kind]), (first,)
                 targets = tuple(target(effect, RECORDED_DETECTABLE if kind == "pair" else 0.0) for effect in effects)
                 same_runs = tier.excitation == BEFORE_AFTER and next_same_runs()
                 design = replace(design, effects=effects, targets=targets, substitutes=tuple(others), same_runs=same_runs)
             yield design
+
+
+def _others(effect: str, next_other: Callable[[], str]) -> list[str]:
+    """Return the next `SUBSTITUTES` different effects in turn that are not this one."""
+    others: list[str] = []
+    while len(others) < SUBSTITUTES:
+        other = next_other()
+        if other not in (effect, *others):
+            others.append(other)
+    return others
 
 
 def _numbers(shares: Mapping[str, float], count: int) -> list[tuple[Kind, int]]:

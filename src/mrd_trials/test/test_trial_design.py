@@ -7,8 +7,8 @@ import pytest
 
 from mrd_base import InputError
 from mrd_trials.bench_session import BenchSession
-from mrd_trials.trial_design import LEAST_RECORDINGS, Recipe, design_trial, stratum, with_recordings
-from mrd_trials.truth import DAMPER_FORMS, EFFECTS
+from mrd_trials.trial_design import LEAST_RECORDINGS, SUBSTITUTES, Recipe, design_trial, stratum, with_recordings
+from mrd_trials.truth import ALTERATIONS, DAMPER_FORMS, EFFECTS
 
 
 def test_every_kind_has_its_share_and_every_effect_its_turn():
@@ -160,3 +160,15 @@ def test_a_replay_without_recordings_is_left_out_and_reported(tmp_path):
 def test_strata(strength, name, of_recordings):
     assert stratum(strength, "rich") == name
     assert stratum(strength, "semireal") == of_recordings
+
+
+def test_all_effects_are_substitutes_equally_often(tmp_path):
+    """Else the few that can always be made strong would take most places."""
+    shares = {"null": 0.1, "single": 0.9, "pair": 0.0, "absent": 0.0}
+    recipe = Recipe(1, {"semireal": 120}, shares, recordings(tmp_path, press=10, rig=10, bench=10))
+    designs = [design for design in design_trial(recipe)[0] if design.kind == "single"]
+    assert all(design.effects[0] not in design.substitutes for design in designs)
+    assert {len(set(design.substitutes)) for design in designs} == {SUBSTITUTES}
+    times = Counter(effect for design in designs for effect in design.substitutes)
+    assert times.keys() == {name for name in ALTERATIONS if EFFECTS[name].in_catalogue}
+    assert max(times.values()) - min(times.values()) <= 4
