@@ -1,6 +1,7 @@
 """Plants are made as designed, an interrupted trial is continued, and the answers lie elsewhere."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from mrd_trials.bench_session import BenchSession
 from mrd_trials.cli.make import work
 from mrd_trials.commitments import commitment, open_answers
 from mrd_trials.excitation import FRESH_RUNS, parse_tier
-from mrd_trials.make import make_plant, make_trial
+from mrd_trials.make import _draw_effects, make_plant, make_trial
 from mrd_trials.records import GroundTruth, read_records
 from mrd_trials.trial_design import PlantDesign, Recipe, design_trial
 from mrd_trials.trial_folder import read_fresh_runs, read_given_runs, read_trial
@@ -90,6 +91,21 @@ def test_an_undetectable_effect_of_a_pair_is_substituted():
     assert not reference
     assert set(truth.causes) == {"flow_asymmetry", "side_load_friction"}
     assert truth.signal_to_floor > 3.0
+
+
+def test_where_no_effect_can_be_made_strong_enough_the_strongest_is_taken(monkeypatch):
+    signals = iter([0.02, 0.08, 0.05])
+    monkeypatch.setattr("mrd_trials.make.find_strength", lambda *_: (0.5, next(signals)))
+    monkeypatch.setattr("mrd_trials.make.ReferenceFit.from_runs", lambda *_, **__: None)
+    formulas = {name: effect.draw_formula("development", np.random.default_rng(0)) for name, effect in EFFECTS.items()}
+    session = SimpleNamespace(
+        formulas=formulas, effect_seed=1, fit_seed=1, given_runs=lambda _: [], strength_of=lambda _, effects: len(effects)
+    )
+    tried = ("gas_spring", "end_stop", "backlash")
+    design = PlantDesign("p0001", "single", parse_tier("semireal"), (5, 1), "", tried[:1], (1.0,), substitutes=tried[1:])
+    effects, strength = _draw_effects(design, session)
+    assert list(effects) == ["end_stop"]
+    assert strength == 1
 
 
 def test_the_simulator_of_a_black_box_has_no_parameter_of_the_damper_exactly():
