@@ -322,7 +322,7 @@ def _design_altered_tier(
                 first = turns[kind]()
                 if kind == "pair":
                     others = [str(name) for name in rng.permutation(names[kind]) if name != first]
-                    effects = (first, others.pop())
+                    effects: tuple[str, ...] = (first, others.pop())
                 else:
                     others, effects = _others(first, next_substitute[kind]), (first,)
                 targets = tuple(target(effect, RECORDED_DETECTABLE if kind == "pair" else 0.0) for effect in effects)

@@ -152,7 +152,8 @@ def refit(
     null_gradients = [joined[:, fold] @ jacobian[fold] for _, fold in folds]
     averaging = jacobian.T @ alone.counted(averaged_over_period(force, problem) - force)
     if diverges:
-        held_out: tuple[Array, ...] = 3 * (np.full(len(folds), np.inf),)
+        nothing = np.full(len(folds), np.inf)
+        held_out = nothing, nothing, nothing
     else:
         held_out = held_out_errors(problem, *without_each(problem, unit, coefficients, normal_matrices, gradients), folds)
     return Refit(
