@@ -144,7 +144,7 @@ def test_a_folder_that_is_not_a_trial_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"is not a trial, expected trial\.json"):
         read_trial(tmp_path)
     (tmp_path / "trial.json").write_text("{}")
-    with pytest.raises(InputError, match=r"does not describe a trial \(format 1, expected 6\)"):
+    with pytest.raises(InputError, match=r"does not describe a trial \(format 1, expected 7\)"):
         read_trial(tmp_path)
     (tmp_path / "trial.json").write_text('{"format": 5}')
     with pytest.raises(InputError, match="does not describe a trial"):
