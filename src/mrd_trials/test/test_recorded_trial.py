@@ -168,6 +168,7 @@ def cause_of(effect, probability):
         level="effect",
         members=(),
         plausible=(),
+        class_probability=probability,
     )
 
 
