@@ -67,7 +67,7 @@ class Conditions:
     most_current: float = 1.0
     supply_lag: float = 0.003
     actuator: Actuator | None = None
-    data_sheet: DataSheet = field(default_factory=DataSheet)
+    data_sheet: DataSheet = DataSheet()
 
     @property
     def samples(self) -> int:

@@ -77,7 +77,7 @@ class ControlExperiment:
 
     @property
     def data_sheet(self) -> DataSheet:
-        """What the metrics need to know of the damper."""
+        """Data of the damper that the metrics need."""
         return DataSheet(self.stroke, self.coil_resistance)
 
     @property

@@ -29,7 +29,7 @@ METRICS = {
 
 @dataclass(frozen=True)
 class DataSheet:
-    """What the metrics need to know of the damper; by default the RD-8040-1 at ambient temperature (LORD technical data).
+    """Data of a damper that the metrics need; by default of the RD-8040-1 at ambient temperature (LORD technical data).
 
     Attributes
     ----------

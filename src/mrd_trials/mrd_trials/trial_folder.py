@@ -18,7 +18,8 @@ DESCRIPTION = "trial.json"
 FORMAT = 7
 """Version of a trial: its keys, and what a recipe stands for. In 1, every effect had a single formula; in 2, all dampers had
 one size; in 3, effects were drawn up to the end of their plausible range; in 4, plays were crossed in measured recordings as
-fast as the force could, and the curve of a transducer was counted from their zero; in 5, stops and springs were as well."""
+fast as the force could, and the curve of a transducer was counted from their zero; in 5, stops and springs were as well;
+in 6, any effect could be a substitute in measured recordings."""
 
 COLUMNS = "time_s,position_m,current_A,force_N"
 
