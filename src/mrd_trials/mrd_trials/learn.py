@@ -1,9 +1,12 @@
 """Learn how evidence combines to a probability, from trials whose answers are open.
 
-A logistic regression with a quadratic penalty, whose weights must not have the sign that physics forbids. How far its
-probabilities are right is measured on dampers that were left out, each with all its plants.
+A logistic regression with a quadratic penalty, whose weights must not have the sign that physics forbids. Each kind of plant
+counts as much as it does in the standard trial, however many of it there are: what a cause has for it depends on how many
+dampers lack nothing, or something that the catalogue lacks too. How far the probabilities are right is measured on dampers
+that were left out, each with all its plants.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +22,7 @@ from mrd_diagnosis.evidence.evidence import EVIDENCE
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_trials.excitation import SEMIREAL
 from mrd_trials.records import GroundTruth, Submission, WeighedEffect
-from mrd_trials.scoring.rates import calibration
+from mrd_trials.trial_design import SHARES
 
 Array = NDArray[np.float64]
 
@@ -41,11 +44,14 @@ class Row:
     weighed : WeighedEffect
     causes : frozenset of str
         True causes of the plant.
+    plants : tuple of str
+        Excitation and kind of the plant.
     """
 
     damper: str
     weighed: WeighedEffect
     causes: frozenset[str]
+    plants: tuple[str, str]
 
     @property
     def right(self) -> bool:
@@ -73,16 +79,23 @@ def rows_of(answers: Mapping[str, GroundTruth], submissions: Mapping[str, Submis
             unknown |= {name for cause in untouched.causes for name in (*cause.effects, *cause.members)}
         for entry in submission.weighed:
             if not (measured and truth.kind == "null") and unknown.isdisjoint(entry.members):
-                rows.append(Row(truth.base, entry, causes))
+                rows.append(Row(truth.base, entry, causes, (truth.excitation, truth.kind)))
     return rows
 
 
-def learn(rows: Sequence[Row], trials: Sequence[Mapping[str, Any]]) -> PresenceModel:
+def plants_of(answers: Mapping[str, GroundTruth], submissions: Mapping[str, Submission]) -> Counter[tuple[str, str]]:
+    """Return how many plants were diagnosed, by excitation and kind."""
+    return Counter((answers[plant].excitation, answers[plant].kind) for plant in submissions)
+
+
+def learn(rows: Sequence[Row], plants: Mapping[tuple[str, str], int], trials: Sequence[Mapping[str, Any]]) -> PresenceModel:
     """Fit the weights, and measure on left-out dampers how far they are right.
 
     Parameters
     ----------
     rows : sequence of Row
+    plants : mapping
+        How many plants were diagnosed, by excitation and kind, those without rows included.
     trials : sequence of mapping
         The recipes of their trials, for the model card.
 
@@ -102,23 +115,23 @@ def learn(rows: Sequence[Row], trials: Sequence[Mapping[str, Any]]) -> PresenceM
     names = [entry.name for entry in EVIDENCE]
     evidence = np.array([[row.weighed.evidence[name] for name in names] for row in rows])
     dampers = np.array([row.damper for row in rows])
-    left_out = {penalty: _left_out(evidence, right, dampers, names, penalty) for penalty in PENALTIES}
-    penalty = min(PENALTIES, key=lambda value: _log_loss(left_out[value], right))
+    counts = np.array([_count(row, plants) for row in rows])
+    left_out = {penalty: _left_out(evidence, right, counts, dampers, names, penalty) for penalty in PENALTIES}
+    penalty = min(PENALTIES, key=lambda value: _log_loss(left_out[value], right, counts))
     probability = left_out[penalty]
-    intercept, weights = _fit(evidence, right, names, penalty)
-    measured = calibration(probability, right)
+    intercept, weights = _fit(evidence, right, counts, names, penalty)
+    by_chance = float(np.average(right, weights=counts))
     named = probability >= THRESHOLDS.least_probability
     card = {
         "trials": list(trials),
+        "plants": {f"{excitation}, {kind}": number for (excitation, kind), number in sorted(plants.items())},
         "effects weighed": len(rows),
         "of them right": int(right.sum()),
         "dampers": sorted(set(dampers.tolist())),
         "penalty": penalty,
         "left out by damper": {
-            "log loss": round(_log_loss(probability, right), 3),
-            "log loss of the mean alone": round(_log_loss(np.full(len(right), right.mean()), right), 3),
-            "calibration error": round(measured.error, 3),
-            "calibration error by chance": round(measured.by_chance, 3),
+            "log loss": round(_log_loss(probability, right, counts), 3),
+            "log loss of the mean alone": round(_log_loss(np.full(len(right), by_chance), right, counts), 3),
             "named": int(named.sum()),
             "named and right": int((named & right).sum()),
             "right and not named": int((~named & right).sum()),
@@ -159,19 +172,28 @@ def set_share(rows: Sequence[Row], presence: Array) -> float:
     return min(float(np.sort(before)[rank - 1]) + 1e-4, 1.0)
 
 
+def _count(row: Row, plants: Mapping[tuple[str, str], int]) -> float:
+    """Return how many plants with its excitation the standard trial would have of its kind, per plant that was diagnosed."""
+    excitation, kind = row.plants
+    total = sum(number for (of, _), number in plants.items() if of == excitation)
+    return SHARES[kind] * total / plants[row.plants]
+
+
 def _left_out(
-    evidence: Array, right: NDArray[np.bool_], dampers: NDArray[Any], names: Sequence[str], penalty: float
+    evidence: Array, right: NDArray[np.bool_], counts: Array, dampers: NDArray[Any], names: Sequence[str], penalty: float
 ) -> Array:
     """Return the probability of each row from weights that were fitted without its damper."""
     probability = np.empty(len(right))
     for damper in np.unique(dampers):
         out = dampers == damper
-        intercept, weights = _fit(evidence[~out], right[~out], names, penalty)
+        intercept, weights = _fit(evidence[~out], right[~out], counts[~out], names, penalty)
         probability[out] = expit(intercept + evidence[out] @ weights)
     return probability
 
 
-def _fit(evidence: Array, right: NDArray[np.bool_], names: Sequence[str], penalty: float) -> tuple[float, Array]:
+def _fit(
+    evidence: Array, right: NDArray[np.bool_], counts: Array, names: Sequence[str], penalty: float
+) -> tuple[float, Array]:
     """Return intercept and weights of the penalised regression."""
     mean, deviation = evidence.mean(axis=0), evidence.std(axis=0) + 1e-9
     scaled = (evidence - mean) / deviation
@@ -179,8 +201,8 @@ def _fit(evidence: Array, right: NDArray[np.bool_], names: Sequence[str], penalt
 
     def cost(theta: Array) -> tuple[float, Array]:
         margin = sign * (theta[0] + scaled @ theta[1:])
-        pull = -sign * expit(-margin)
-        value = float(np.logaddexp(0.0, -margin).sum() + 0.5 * penalty * theta[1:] @ theta[1:])
+        pull = -sign * counts * expit(-margin)
+        value = float(counts @ np.logaddexp(0.0, -margin) + 0.5 * penalty * theta[1:] @ theta[1:])
         return value, np.concatenate([[pull.sum()], scaled.T @ pull + penalty * theta[1:]])
 
     against = {entry.name for entry in EVIDENCE if entry.against}
@@ -190,9 +212,9 @@ def _fit(evidence: Array, right: NDArray[np.bool_], names: Sequence[str], penalt
     return float(theta[0] - mean @ weights), weights
 
 
-def _log_loss(probability: Array, right: NDArray[np.bool_]) -> float:
+def _log_loss(probability: Array, right: NDArray[np.bool_], counts: Array) -> float:
     bounded = np.clip(probability, 1e-6, 1.0 - 1e-6)
-    return float(-np.mean(np.where(right, np.log(bounded), np.log(1.0 - bounded))))
+    return float(-np.average(np.where(right, np.log(bounded), np.log(1.0 - bounded)), weights=counts))
 
 
 def _rounded(names: Sequence[str], values: Array) -> dict[str, float]:

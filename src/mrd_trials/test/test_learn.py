@@ -18,6 +18,7 @@ from mrd_trials.trial_design import Recipe
 from mrd_trials.trial_folder import PublicTrial, write_trial
 
 NAMES = [entry.name for entry in EVIDENCE]
+PLANTS = "rich", "single"
 AGAINST = {entry.name for entry in EVIDENCE if entry.against}
 
 
@@ -56,17 +57,17 @@ def drawn_rows(count, seed=0):
     for index in range(count):
         right = bool(rng.random() < 0.5)
         numbers = {name: float(rng.random()) for name in NAMES}
-        numbers["closed"] = float(np.clip(rng.normal(0.6 if right else 0.3, 0.1), 0, 1))
-        numbers["drift"] = float(np.clip(rng.normal(0.2 if right else 0.5, 0.2), 0, 2))
+        numbers["support"] = float(np.clip(rng.normal(0.6 if right else 0.3, 0.1), 0, 1))
+        numbers["drift"] = float(np.clip(rng.normal(0.2 if right else 0.4, 0.2), 0, 2))
         entry = WeighedEffect("end_stop", ("end_stop",), 0.5, numbers, {"end_stop": 0.5})
-        rows.append(Row(f"damper{index % 4}", entry, frozenset({"end_stop"} if right else ())))
+        rows.append(Row(f"damper{index % 4}", entry, frozenset({"end_stop"} if right else ()), PLANTS))
     return rows
 
 
 def test_what_tells_right_from_wrong_gets_the_weight():
-    model = learn(drawn_rows(200), [{"seed": 1}])
+    model = learn(drawn_rows(200), {PLANTS: 200}, [{"seed": 1}])
     largest = max(model.weights, key=lambda name: abs(model.weights[name]))
-    assert largest == "closed"
+    assert largest == "support"
     assert model.weights["drift"] < 0.0
     for name, weight in model.weights.items():
         assert weight <= 0.0 if name in AGAINST else weight >= 0.0
@@ -81,7 +82,7 @@ def test_sets_hold_the_true_effect_in_nine_of_ten_cases():
     def row(place):
         probabilities = {"end_stop": 0.4, "gas_spring": 0.3, "backlash": 0.2, "settling": 0.1}
         entry = WeighedEffect("end_stop", tuple(probabilities), 0.5, dict.fromkeys(NAMES, 0.5), probabilities)
-        return Row("damper", entry, frozenset([list(probabilities)[place]]))
+        return Row("damper", entry, frozenset([list(probabilities)[place]]), PLANTS)
 
     def share(*rows):
         return set_share(rows, np.full(len(rows), 1.0))
@@ -98,7 +99,18 @@ def test_sets_hold_the_true_effect_in_nine_of_ten_cases():
 
 
 def test_the_same_trials_give_the_same_weights():
-    assert learn(drawn_rows(100), []) == learn(drawn_rows(100), [])
+    assert learn(drawn_rows(100), {PLANTS: 100}, []) == learn(drawn_rows(100), {PLANTS: 100}, [])
+
+
+def test_each_kind_of_plant_counts_as_in_the_standard_trial():
+    """Many dampers without an effect were diagnosed only to learn what stands in for one; they made every cause unlikely."""
+    rows, null = drawn_rows(300), ("rich", "null")
+    kinds = [replace(row, plants=PLANTS if row.right else null) for row in rows]
+    more = kinds + 3 * [row for row in kinds if not row.right]
+    once = learn(kinds, {PLANTS: 150, null: 150}, [])
+    assert learn(more, {PLANTS: 150, null: 600}, []).probability(rows[0].weighed.evidence) == pytest.approx(
+        once.probability(rows[0].weighed.evidence), abs=0.1
+    )
 
 
 def test_evidence_against_nature_gets_no_weight():
@@ -106,17 +118,17 @@ def test_evidence_against_nature_gets_no_weight():
         replace(row, weighed=replace(row.weighed, evidence=dict(row.weighed.evidence) | {"kept": 1.0 - row.right}))
         for row in drawn_rows(100)
     ]
-    assert learn(rows, []).weights["kept"] == 0.0
+    assert learn(rows, {PLANTS: 100}, []).weights["kept"] == 0.0
 
 
 def test_too_few_plants_are_refused():
     with pytest.raises(InputError, match="expected 20 of each"):
-        learn(drawn_rows(30), [])
+        learn(drawn_rows(30), {PLANTS: 30}, [])
 
 
 def test_one_form_of_damper_is_refused():
     with pytest.raises(InputError, match="one form of damper only"):
-        learn([replace(row, damper="bent") for row in drawn_rows(100)], [])
+        learn([replace(row, damper="bent") for row in drawn_rows(100)], {PLANTS: 100}, [])
 
 
 def test_a_class_is_right_with_its_member():

@@ -148,23 +148,20 @@ def weigh_effects(
     if not tables:
         return []
     complete = with_effects(weighting, forms[0], present, values)
-    alone = refit_on(weighting, forms[0])
     beside, plain = with_form_remainder(weighting, forms[0])
     beside_complete = with_effects(beside, plain, present, values)
     return [
         _weigh(
+            table,
             FitsOfEffect(
                 effect=lead,
-                probabilities=table.probabilities,
-                members=table.members(lead),
-                by_form=table.by_form,
-                alone=alone,
+                support=sum(table.probabilities[member.effect] for member in table.members(lead)),
+                fitted=table.by_form[0][lead],
                 complete=complete,
                 remainder_without=refit_without(beside, beside_complete, lead),
                 remainder_complete=beside_complete,
-                noise_cost=weighting.noise_cost,
                 remainder_noise_cost=beside.noise_cost,
-            )
+            ),
         )
         for lead, table in tables.items()
     ]
@@ -190,15 +187,23 @@ def _table_of_place(
     return Table(hypotheses, table_probabilities(hypotheses, rng))
 
 
-def _weigh(fits: FitsOfEffect) -> LeadingEffect:
+def _weigh(table: Table, fits: FitsOfEffect) -> LeadingEffect:
     """Measure the evidence of an effect, and let the learnt probability of its class take the place of the table's."""
     evidence = measure_evidence(fits)
-    alike = [member.effect for member in fits.members]
-    probabilities = with_presence(fits.probabilities, alike, presence_of(evidence))
-    members = tuple(replace(member, probability=probabilities[member.effect]) for member in fits.members)
-    by_form = tuple(effect_parameters(refits[fits.effect]) for refits in fits.by_form if fits.effect in refits)
-    table = dict(fits.probabilities)
-    return LeadingEffect(fits.effect, table, probabilities, members, fits.without, fits.fitted, evidence, by_form)
+    members = table.members(fits.effect)
+    probabilities = with_presence(table.probabilities, [member.effect for member in members], presence_of(evidence))
+    return LeadingEffect(
+        effect=fits.effect,
+        table=dict(table.probabilities),
+        probabilities=probabilities,
+        members=tuple(replace(member, probability=probabilities[member.effect]) for member in members),
+        without=table.by_form[0][NO_EFFECT],
+        fitted=fits.fitted,
+        evidence=evidence,
+        parameters_by_form=tuple(
+            effect_parameters(refits[fits.effect]) for refits in table.by_form if fits.effect in refits
+        ),
+    )
 
 
 def _search(

@@ -2,13 +2,14 @@
 
 import argparse
 import json
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 
 from mrd_base import InputError, run_tool
 from mrd_trials.cli.options import default_answers
 from mrd_trials.commitments import open_answers
-from mrd_trials.learn import Row, learn, rows_of
+from mrd_trials.learn import Row, learn, plants_of, rows_of
 from mrd_trials.run import VERDICTS_FILE, read_verdicts
 from mrd_trials.submission import DIAGNOSER_FILE, diagnoser_of_verdicts
 from mrd_trials.trial_folder import read_trial
@@ -40,6 +41,7 @@ def work() -> None:
     )
     arguments = parser.parse_args()
     rows: list[Row] = []
+    plants: Counter[tuple[str, str]] = Counter()
     recipes = []
     diagnosers = {verdicts: diagnoser_of_verdicts(verdicts) for _, verdicts in arguments.trial}
     for folder, verdicts in arguments.trial:
@@ -56,9 +58,10 @@ def work() -> None:
         answers = open_answers(default_answers(folder), trial.commitments)
         submissions = read_verdicts(verdicts / VERDICTS_FILE, trial.plants)
         rows += rows_of(answers, submissions)
+        plants += plants_of(answers, submissions)
         recipe = {name: value for name, value in asdict(trial.recipe).items() if name not in ("recorded", "checksums")}
         recipes.append(recipe | {"diagnosed": len(submissions)})
-    model = learn(rows, recipes)
+    model = learn(rows, plants, recipes)
     arguments.output.write_text(json.dumps(asdict(model), indent=1) + "\n", encoding="utf-8")
     print(json.dumps(model.card["left out by damper"], indent=1))
     print(arguments.output)
