@@ -120,7 +120,7 @@ def learn(rows: Sequence[Row], plants: Mapping[tuple[str, str], int], trials: Se
     penalty = min(PENALTIES, key=lambda value: _log_loss(left_out[value], right, counts))
     probability = left_out[penalty]
     intercept, weights = _fit(evidence, right, counts, names, penalty)
-    by_chance = float(np.average(right, weights=counts))
+    mean = float(np.average(right, weights=counts))
     named = probability >= THRESHOLDS.least_probability
     card = {
         "trials": list(trials),
@@ -131,7 +131,7 @@ def learn(rows: Sequence[Row], plants: Mapping[tuple[str, str], int], trials: Se
         "penalty": penalty,
         "left out by damper": {
             "log loss": round(_log_loss(probability, right, counts), 3),
-            "log loss of the mean alone": round(_log_loss(np.full(len(right), by_chance), right, counts), 3),
+            "log loss of the mean alone": round(_log_loss(np.full(len(right), mean), right, counts), 3),
             "named": int(named.sum()),
             "named and right": int((named & right).sum()),
             "right and not named": int((~named & right).sum()),

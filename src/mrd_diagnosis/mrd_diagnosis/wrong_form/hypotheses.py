@@ -150,21 +150,7 @@ def weigh_effects(
     complete = with_effects(weighting, forms[0], present, values)
     beside, plain = with_form_remainder(weighting, forms[0])
     beside_complete = with_effects(beside, plain, present, values)
-    return [
-        _weigh(
-            table,
-            FitsOfEffect(
-                effect=lead,
-                support=sum(table.probabilities[member.effect] for member in table.members(lead)),
-                fitted=table.by_form[0][lead],
-                complete=complete,
-                remainder_without=refit_without(beside, beside_complete, lead),
-                remainder_complete=beside_complete,
-                remainder_noise_cost=beside.noise_cost,
-            ),
-        )
-        for lead, table in tables.items()
-    ]
+    return [_weigh(lead, table, complete, beside, beside_complete) for lead, table in tables.items()]
 
 
 def _table_of_place(
@@ -187,22 +173,32 @@ def _table_of_place(
     return Table(hypotheses, table_probabilities(hypotheses, rng))
 
 
-def _weigh(table: Table, fits: FitsOfEffect) -> LeadingEffect:
-    """Measure the evidence of an effect, and let the learnt probability of its class take the place of the table's."""
+def _weigh(effect: str, table: Table, complete: Refit, beside: Weighting, beside_complete: Refit) -> LeadingEffect:
+    """Measure the evidence of an effect, and let the learnt probability of its class take the place of the table's.
+
+    ``complete`` is the first form with all effects, ``beside_complete`` the same beside the form remainder.
+    """
+    members = table.members(effect)
+    fits = FitsOfEffect(
+        effect=effect,
+        support=sum(table.probabilities[member.effect] for member in members),
+        fitted=table.by_form[0][effect],
+        complete=complete,
+        remainder_without=refit_without(beside, beside_complete, effect),
+        remainder_complete=beside_complete,
+        remainder_noise_cost=beside.noise_cost,
+    )
     evidence = measure_evidence(fits)
-    members = table.members(fits.effect)
     probabilities = with_presence(table.probabilities, [member.effect for member in members], presence_of(evidence))
     return LeadingEffect(
-        effect=fits.effect,
+        effect=effect,
         table=dict(table.probabilities),
         probabilities=probabilities,
         members=tuple(replace(member, probability=probabilities[member.effect]) for member in members),
         without=table.by_form[0][NO_EFFECT],
         fitted=fits.fitted,
         evidence=evidence,
-        parameters_by_form=tuple(
-            effect_parameters(refits[fits.effect]) for refits in table.by_form if fits.effect in refits
-        ),
+        parameters_by_form=tuple(effect_parameters(refits[effect]) for refits in table.by_form if effect in refits),
     )
 
 
