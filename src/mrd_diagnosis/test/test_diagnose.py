@@ -228,8 +228,8 @@ def test_a_stop_at_one_end_is_named_wherever_the_zero_of_the_position_is(zero):
     diagnosis = diagnose(runs, "bouc_wen", effects=("end_stop", "hardening_spring", "moving_mass"))
     (cause,) = diagnosis.causes
     mid_stroke = diagnosis.corrected.parameters["mid_stroke"]
-    # A spring that is relaxed at the other end and hardens from there looks like it.
-    assert diagnosis.verdict in ("explained", "ambiguous")
+    # Where the zero is at mid-stroke, or was found there, a spring that hardens from the other end looks like it.
+    assert diagnosis.verdict == ("explained" if zero > 0.0 else "ambiguous")
     assert cause.effect == "end_stop"
     assert mid_stroke == (0.0 if zero > -0.1 else pytest.approx(zero, abs=1e-3))
     assert cause.parameters["end_stop.upper"].value.value == pytest.approx(0.007 + zero - mid_stroke, abs=1e-4)
@@ -491,7 +491,7 @@ def test_it_can_be_cancelled(delayed):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "size"),
-    [("backlash", 2e-4), ("coil_lag", 0.01), ("moving_mass", 2.0), ("shear_thinning", 600.0), ("flow_asymmetry", 0.08)],
+    [("backlash", 2e-4), ("coil_lag", 0.01), ("moving_mass", 4.0), ("shear_thinning", 600.0), ("flow_asymmetry", 0.08)],
 )
 def test_the_whole_catalogue_names_it(effect, size):
     from mrd_sim.effects import EFFECTS
@@ -500,5 +500,4 @@ def test_the_whole_catalogue_names_it(effect, size):
     runs = recorded({effect: dict(EFFECTS[effect].typical) | {first: size}}, seed=7, rate=500)
     diagnosis = diagnose(runs, "bouc_wen")
     assert diagnosis.causes[0].effect == effect
-    # The mass makes a gap that is smaller than the noise, so its share is known within a fifth.
-    assert diagnosis.gap.closed_fraction.upper > 0.9
+    assert diagnosis.gap.closed_fraction.value > 0.9
